@@ -4,7 +4,7 @@ A step is quiet if every edge is open, every message of the step before is there
 every step is. An array of one number costs as much as one of a hundred. So a shard of a few nodes makes its quiet steps
 here. The paper's law is below, and the other laws of the project are in agents.quiet_laws. With the law of the paper,
 steps with dropped or late messages are made here too (agents.waiting). Other steps, and laws of other classes, use the
-general path (agents.samples and the law itself). `settle` passes everything to the general path. Both ways give the
+general path (agents.samples and the law itself). `give_back` passes everything to the general path. Both ways give the
 same bits, because they do the same operations in the same order.
 """
 
@@ -29,8 +29,10 @@ from hedgerow.wire.message import REPORT_ROWS, Flag, Kind, Link, Span
 FEW_NODES = 8
 MOST_INCIDENCES = 24
 """with more, numpy is as fast"""
-PATIENCE = 4
-"""easy steps in a row before floats take over; to change over costs as much as two general steps"""
+STEPS_BEFORE = 4
+"""steps in a row that the general path made and floats could have made, before floats take over; to change over costs
+as much as two general steps
+"""
 
 
 class _Node(NamedTuple):
@@ -60,21 +62,21 @@ class QuietLaw:
         self._sends: list[list[int]] = [peer.sends.tolist() for peer in view.peers]
         self._asks = asks(law.learn, "sample")
         self._rows = [struct.Struct(f"<{peer.receives}d") for peer in view.peers]
-        self._J: list[list[float]] = []
-        self.holds = False
+        self._J: Sequence[list[float]] = ()
+        self.has_memory = False
         """True while the newest memory is here, and not in the law"""
         self.x: Sequence[float] = ()
         """states of the last step, (k,)"""
         self.states: Sequence[float] = ()
         """states of the sample learned last: our own, and for a law that asks the peers' behind them"""
-        self.u: list[float] = []
+        self.u: Sequence[float] = ()
         """inputs of the last step, (k,)"""
         self.report: Sequence[float] = ()
         """ahat and then the margins of the last step, (2k,)"""
         self.waiting = Waiting(view) if view.history > MOST_WAITING and isinstance(law, Minimax) else None
         """the samples that wait for rows; None for other laws and short histories, which wait in the general path"""
         self._nothing = [nan] * (sum(self._receives))
-        self._easy = 0
+        self._possible = 0
         """number of steps of the general path in a row that could have been made here"""
 
     @classmethod
@@ -98,23 +100,23 @@ class QuietLaw:
         return cls(view, law, rules)
 
     @property
-    def waits(self) -> bool:
+    def has_waiting(self) -> bool:
         """Return True if a sample waits for a row."""
         return self.waiting is not None and self.waiting.most > 0
 
-    def makes(self, flags: bytes, spans: Sequence[Span]) -> bool:
+    def can_make(self, flags: bytes, spans: Sequence[Span]) -> bool:
         """Return True if the step after a state with these flags and spans can be made here."""
         if not flags and not spans:
             return True
         return self.waiting is not None and all(bits & Flag.OPEN for bits in flags)
 
-    def after(self, was_easy: bool, x: Array, u: Array, report: Array, samples: Samples | None = None) -> None:
-        """Count a step that the general path made; after some easy ones, take over its memory, states and inputs.
+    def count_general(self, possible: bool, x: Array, u: Array, report: Array, samples: Samples | None = None) -> None:
+        """Count a step that the general path made; after some possible ones in a row, take over from the general path.
 
-        A step is easy if it could be made here. The samples that wait in `samples` come here, too.
+        A step is possible if it could be made here. The samples that wait in `samples` come here, too.
         """
-        self._easy = self._easy + 1 if was_easy else 0
-        if self._easy < PATIENCE or not isfinite(sum(x.tolist()) + sum(u.tolist())):
+        self._possible = self._possible + 1 if possible else 0
+        if self._possible < STEPS_BEFORE or not isfinite(sum(x.tolist()) + sum(u.tolist())):
             return
         if samples is not None and not self._takes_over(samples):
             return
@@ -123,7 +125,7 @@ class QuietLaw:
         self._J = [
             J[: len(node.candidates)] if node.rule is None else J for J, node in zip(memory, self._nodes, strict=True)
         ]
-        self.holds = True
+        self.has_memory = True
 
     def _takes_over(self, samples: Samples) -> bool:
         """Take over the samples that wait; return False, with nothing changed, if that is impossible."""
@@ -135,13 +137,13 @@ class QuietLaw:
         samples.forget_last(self.waiting.most)
         return True
 
-    def settle(self) -> None:
+    def give_back(self) -> None:
         """Hand everything learned back to the law; `waiting` still holds the samples that wait."""
         J = np.full((self._height, len(self._nodes)), np.inf)
         for column, own in zip(J.T, self._J, strict=True):
             column[: len(own)] = own
         self._law.memory = J
-        self._J, self._easy, self.holds = [], 0, False
+        self._J, self._possible, self.has_memory = (), 0, False
 
     def step(self, states: Sequence[float], links: Sequence[Link | bytes], past: int) -> Sequence[float] | None:
         """Learn the sample of t - 1, equation (7), and act at t, equation (6), for the states x(t), (k,).
@@ -154,7 +156,7 @@ class QuietLaw:
         for numbers, link in zip(self._rows, links, strict=False):
             rows = link if isinstance(link, bytes) else link.u
             row += numbers.unpack_from(rows, len(rows) - numbers.size)  # the newest inputs come last in both
-        costs, inputs, estimates, margins = [], [], [], []
+        made = []
         for node, J, now, before in zip(self._nodes, self._J, states, self.x, strict=False):
             if node.rule is None:
                 learned = _learned(node, J, row, before, now)
@@ -167,14 +169,12 @@ class QuietLaw:
                     return None
             if not isfinite(u + sum(learned)):
                 return None
-            costs.append(learned)
-            inputs.append(u)
-            estimates.append(ahat)
-            margins.append(margin)
+            made.append((learned, u, ahat, margin))
         self.states = [*self.x, *self._states_of(links)] if self._asks else self.x
         if self.waiting is not None:
             self.waiting.rows.append(Row(self.x, row))
-        self._J, self.x, self.u, self.report = costs, states, inputs, estimates + margins
+        self._J, self.u, estimates, margins = zip(*made, strict=False)
+        self.x, self.report = states, estimates + margins
         return row
 
     def step_with_gaps(
@@ -199,7 +199,7 @@ class QuietLaw:
         rows.append(Row(self.x, [*self.u, *self._nothing]))
         missing, used = waiting.fill(arrivals)
         samples = waiting.samples_with(missing)
-        costs, inputs, estimates, margins = [], [], [], []
+        made = []
         for i, (node, J, now) in enumerate(zip(self._nodes, self._J, states, strict=True)):
             learned = J
             for k in range(-1 - waiting.samples[i], -samples[i]):
@@ -209,17 +209,15 @@ class QuietLaw:
             if not isfinite(u + sum(learned)):
                 rows.pop()
                 return None
-            costs.append(learned)
-            inputs.append(u)
-            estimates.append(ahat)
-            margins.append(margin)
+            made.append((learned, u, ahat, margin))
         most = max(samples)
         learned_rows = [rows[k] for k in range(-1 - waiting.most, -most)]
         waiting.missing, waiting.samples, waiting.most = missing, samples, most
-        self._J, self.x, self.u, self.report = costs, states, inputs, estimates + margins
+        self._J, self.u, estimates, margins = zip(*made, strict=False)
+        self.x, self.report = states, estimates + margins
         return used, learned_rows
 
-    def stores(self, t: int, first: int) -> bool:
+    def has_rows(self, t: int, first: int) -> bool:
         """Return True if our rows from step `first` to t - 1 are here, and t is the last step."""
         return first == t or (self.waiting is not None and t - first <= len(self.waiting.rows))
 

@@ -33,10 +33,10 @@ _SEND = int(Flag.SEND)
 class Shard:
     """The nodes of one process; at step t they close the sample of t - 1 and act, all at once.
 
-    `receive` takes link messages of peers and `recall` takes the plant's record of nodes that come back. If `awaits` is
-    empty, `answer` the state and `send` the link messages of that step. Incidences (a node and one of its edges) are
-    ordered by node and then by neighbour, as in the plant. A flow is therefore the same sum, bit for bit, in every
-    layout of the network over processes.
+    `receive_message` takes link messages of peers, and `recall` takes the plant's record of nodes that come back. If
+    `awaits` is empty, make the `step` of the state and `send` the link messages; `answer` is a step and its inputs.
+    Incidences (a node and one of its edges) are ordered by node and then by neighbour, as in the plant. A flow is
+    therefore the same sum, bit for bit, in every layout of the network over processes.
     """
 
     def __init__(self, view: View, law: Law | None = None) -> None:
@@ -128,10 +128,10 @@ class Shard:
     def step(self, state: State) -> None:
         """Make the step of `answer`, and return nothing: arrays of a step in floats would be made for it."""
         t, x, quiet = state.t, state.x, self._quiet
-        if quiet is not None and quiet.holds:
+        if quiet is not None and quiet.has_memory:
             if t == self.t + 1 and self._step_in_floats(state, quiet):
                 return
-            self._settle(quiet)
+            self._leave_floats(quiet)
         record = self._record if self._record is not None and self._record.t == t else None
         try:
             if record is not None:
@@ -143,8 +143,8 @@ class Shard:
         self._record = None
         u = self._act(t, x)
         if quiet is not None:
-            was_easy = t > 0 and record is None and quiet.makes(state.flags, state.spans)
-            quiet.after(was_easy, x, u, self._report, self._samples)
+            possible = t > 0 and record is None and quiet.can_make(state.flags, state.spans)
+            quiet.count_general(possible, x, u, self._report, self._samples)
 
     def answer_quietly(self, message: bytes) -> list[bytes] | None:
         """Return the answer to a state message: one link message per entry of `audience`, and the input message.
@@ -152,7 +152,7 @@ class Shard:
         Return None, with nothing changed, if the step is not quiet: then decode the message and call `answer`.
         """
         quiet = self._quiet
-        if quiet is None or not quiet.holds or (x := self._forms.states(message, self.t + 1)) is None:
+        if quiet is None or not quiet.has_memory or (x := self._forms.states(message, self.t + 1)) is None:
             return None
         if not self._step_quietly(x, quiet):
             return None
@@ -164,17 +164,17 @@ class Shard:
         Return None, with nothing changed, if they cannot: then decode the message and call `answer`.
         """
         quiet = self._quiet
-        if quiet is None or not quiet.holds or (state := self._forms.state(message, self.t + 1, self.m)) is None:
+        if quiet is None or not quiet.has_memory or (state := self._forms.state(message, self.t + 1, self.m)) is None:
             return None
         x, flags, spans = state
-        if not (flags or quiet.waits) or not self._step_with_gaps(x, flags, spans, quiet):
+        if not (flags or quiet.has_waiting) or not self._step_with_gaps(x, flags, spans, quiet):
             return None
         return self._packed(flags, spans, quiet) or self.messages(State(self.t, self.x, flags, spans))
 
     def _step_quietly(self, x: Sequence[float], quiet: QuietLaw) -> bool:
         """Make the next step without numpy and return True; False, with nothing changed, if the step is not quiet."""
         past = self.t
-        if self._record is not None or quiet.waits:
+        if self._record is not None or quiet.has_waiting:
             return False
         links = [peer.mail.get(past) for peer in self.peers]
         if None in links or (inputs := quiet.step(x, links, past)) is None:  # type: ignore[arg-type]  # none is None
@@ -186,9 +186,9 @@ class Shard:
         return True
 
     def _step_in_floats(self, state: State, quiet: QuietLaw) -> bool:
-        """Make the next step without numpy and return True; False, with nothing changed, if it is not easy."""
+        """Make the next step without numpy and return True; False, with nothing changed, if floats cannot make it."""
         x: list[float] = state.x.tolist()
-        if not (state.flags or state.spans or quiet.waits):
+        if not (state.flags or state.spans or quiet.has_waiting):
             return self._step_quietly(x, quiet)
         return self._step_with_gaps(x, state.flags, state.spans, quiet)
 
@@ -208,10 +208,10 @@ class Shard:
         self.t, self._behind = past + 1, True
         return True
 
-    def _settle(self, quiet: QuietLaw) -> None:
+    def _leave_floats(self, quiet: QuietLaw) -> None:
         """Have the law, the samples and the arrays hold the newest numbers again."""
         self._refresh()
-        quiet.settle()
+        quiet.give_back()
         if (waiting := quiet.waiting) is not None and waiting.most:
             self._samples.wait(*waiting.hand_over())
 
@@ -240,8 +240,8 @@ class Shard:
 
     def replace_inputs(self, u: Array) -> None:
         """Continue as if the inputs of the last step had been `u`, (k,)."""
-        if self._quiet is not None and self._quiet.holds:
-            self._settle(self._quiet)
+        if self._quiet is not None and self._quiet.has_memory:
+            self._leave_floats(self._quiet)
         self._u = u
 
     def _restore(self, record: Record) -> None:
@@ -288,7 +288,7 @@ class Shard:
         for c, late, count, _, _ in state.spans:
             if used[c] & Flag.RECEIVE:
                 last = past - late
-                late_rows.append(self._came(c, links, last - count, min(last + 1, past)))
+                late_rows.append(self._received(c, links, last - count, min(last + 1, past)))
                 if late:
                     used[c] -= Flag.RECEIVE
         plain = bytes(used)
@@ -311,7 +311,7 @@ class Shard:
         ]
         return gather([self._x, *rows])
 
-    def _came(self, c: int, links: Sequence[Link | None], start: int, stop: int) -> LateRows:
+    def _received(self, c: int, links: Sequence[Link | None], start: int, stop: int) -> LateRows:
         """Return the rows of steps start to stop - 1 that arrived over an incidence."""
         if (peer := self._peer_of.get(c)) is None or (link := links[self.peers.index(peer)]) is None:
             return LateRows(c, start, stop)
@@ -376,7 +376,7 @@ class Shard:
     def messages(self, state: State) -> tuple[list[tuple[Sequence[int], bytes]], bytes]:
         """Return the link messages of the step just answered, each with its receiving peers, and the input message."""
         quiet = self._quiet
-        if quiet is not None and quiet.holds:
+        if quiet is not None and quiet.has_memory:
             if not (state.flags or state.spans):
                 *packed, own = self._forms.pack(self.t, quiet.x, quiet.u, quiet.report)
                 return [(peers, one) for (_, peers), one in zip(self.audience, packed, strict=True)], own + self.used
@@ -393,7 +393,7 @@ class Shard:
         """Return the result of `messages` from floats; None if a row is due that only the history stores."""
         t, links = self.t, list[tuple[Sequence[int], bytes]]()
         for p, first, last in self._rows_due(flags, spans):
-            if not quiet.stores(t, first):
+            if not quiet.has_rows(t, first):
                 return None
             links.append(([p], pack_link(t, first, self.peers[p].sends, *quiet.rows(t, first, last, p))))
         return links, self._forms.input(t, quiet.u, quiet.report) + self.used
@@ -433,11 +433,11 @@ class Shard:
     def _rows(self, peer: Peer, first: int, last: int) -> Link:
         """Return a link message with the rows of steps first to last, as far as they are stored."""
         nodes = peer.nodes
-        if (quiet := self._quiet) is not None and quiet.holds:
-            if quiet.stores(self.t, first):
+        if (quiet := self._quiet) is not None and quiet.has_memory:
+            if quiet.has_rows(self.t, first):
                 rows = quiet.rows(self.t, first, last, self.peers.index(peer))
                 return Link(self.t, first, *(np.array(one).tobytes() for one in rows))
-            self._settle(quiet)  # the history lacks the rows of samples that wait
+            self._leave_floats(quiet)  # the history lacks the rows of samples that wait
         x, u = (self.x, self.u) if nodes is None else (self.x[nodes], self.u[nodes])
         if first == last == self.t:
             return Link(self.t, first, x.tobytes(), u.tobytes())

@@ -44,6 +44,7 @@ from hedgerow.wire.runtime import LONG_BYTES, keep_memory, runtime_environment
 from hedgerow.wire.session import WireError, close, open_client, publisher, subscriber
 from hedgerow.wire.shared_rows import SharedRows, create
 from hedgerow.wire.shared_rows import close as close_shared
+from hedgerow.wire.shared_steps import create_steps, worth_sharing
 from hedgerow.wire.stream import Inbox, rows_ahead
 
 SIZES = [10**2, 10**3, 10**4, 10**5, 10**6]
@@ -52,6 +53,8 @@ NODE_STEPS = 4_000_000
 WARM_UP = 4
 """the number of steps that are not counted: they allocate memory and load loops"""
 DEADLINE_S = 300.0
+PLANT, AGENTS = slice(0, 1), slice(1, -1)
+"""the places of the plant and of the agents in a list of processes"""
 
 
 NUMBERS = "candidates: {random: 3}, disturbance: {kind: sinusoid, amplitude: 1, omega: {random: [0, 3.14159]}}"
@@ -91,8 +94,11 @@ class Apart(NamedTuple):
     """the CPU time per step of the plant, of the agents' processes, and of the receiver of telemetry"""
 
 
-def shards(truth: Truth, views: Sequence[View], folder: Path, share: bool = True) -> Apart:
-    """Return the same for separate processes: the plant, and one for each view."""
+def shards(truth: Truth, views: Sequence[View], folder: Path, share: bool = True, steps: bool = True) -> Apart:
+    """Return the same for separate processes: the plant, and one for each view.
+
+    If `share`, telemetry is in shared memory; if `steps`, states and inputs are.
+    """
     endpoint = f"unixsock-stream/{folder / 'router.sock'}"
     truth.write(folder / "plant.npz")
     n, e = len(truth.ids), len(truth.edges)
@@ -100,12 +106,17 @@ def shards(truth: Truth, views: Sequence[View], folder: Path, share: bool = True
     shared, path = create(size, rows_ahead(n, e)) if share and size > LONG_BYTES else (None, "")
     # On a busy machine, an agent may take longer than the plant waits by default: then every step is wrong.
     waits = ["--deadline", str(DEADLINE_S)]
-    commands = [
-        ["plant", str(folder / "plant.npz"), "--listen", endpoint, *waits, *(["--shared", path] if path else [])]
-    ]
+    memories = {
+        view.shard: memory
+        for view in views
+        if steps and worth_sharing(view.k, len(view.row)) and (memory := create_steps(view.k, len(view.row)))
+    }
+    plant = ["plant", str(folder / "plant.npz"), "--listen", endpoint, *waits, *(["--shared", path] if path else [])]
+    commands = [plant + [word for p, memory in memories.items() for word in ("--memory", str(p), memory)]]
     for view in views:
         view.write(folder / f"{view.shard}.npz")
-        commands.append(["agents", str(folder / f"{view.shard}.npz"), "--connect", endpoint])
+        own = ["--memory", memories[view.shard]] if view.shard in memories else []
+        commands.append(["agents", str(folder / f"{view.shard}.npz"), "--connect", endpoint, *own])
     environment = os.environ | runtime_environment()
     processes = [
         subprocess.Popen(
@@ -120,7 +131,8 @@ def shards(truth: Truth, views: Sequence[View], folder: Path, share: bool = True
         pids = [*(process.pid for process in processes), os.getpid()]
         return _observe(endpoint, truth.steps, len(truth.ids), [psutil.Process(pid) for pid in pids], shared)
     finally:
-        close_shared(path)
+        for one in (path, *memories.values()):
+            close_shared(one)
         for command, process in zip(commands, processes, strict=True):
             _, output = process.communicate()  # this closes its lifeline, in case it still runs
             if process.returncode:
@@ -186,12 +198,13 @@ def measure(nodes: int, processes: int, rounds: int) -> dict[str, float]:
             plant, *agents, observer = apart.cpu_ms
             by_cpu = sum(apart.cpu_ms) / cpu_alone
             runs.append((alone, apart.steps_per_s, by_cpu, plant, statistics.mean(agents), observer))
+    ratios = [together / alone for alone, together, *_ in runs]
     alone, together, by_cpu, *cpu_ms = (statistics.median(each) for each in zip(*runs, strict=True))
     return {
         "nodes": nodes,
         "in one process [steps/s]": alone,
         f"in {processes} [steps/s]": together,
-        "ratio": statistics.median(other / one for one, other, *_ in runs),
+        **_with_spread("ratio", ratios),
         "CPU, ratio to one process": by_cpu,
         "ns a node and step": 1e9 / together / nodes,
         **dict(zip(("plant [ms of CPU]", "an agent [ms of CPU]", "observer [ms of CPU]"), cpu_ms, strict=True)),
@@ -221,11 +234,23 @@ def measure_unequal(nodes: int, processes: int, rounds: int) -> dict[str, float]
 
 
 def measure_shared(nodes: int, processes: int, rounds: int) -> dict[str, float]:
-    """Return one row of the table of `--shared`: a ring with telemetry in messages, and in shared memory."""
+    """Return one row of the table of `--shared`: a ring with messages alone, and with shared memory."""
     with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:
         network = network_of("ring", nodes, _steps(nodes), Path(scratch))
         case = network, partition(network.graph, processes)
         return {"nodes": nodes, **_in_turns(case, case, rounds, Path(scratch), shared=(False, True))}
+
+
+def measure_shared_steps(nodes: int, processes: int, rounds: int) -> dict[str, float]:
+    """Return one row of the table of `--shared-steps`: a ring with states and inputs in messages, and in shared
+    memory.
+
+    Its telemetry is in shared memory in both.
+    """
+    with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:
+        network = network_of("ring", nodes, _steps(nodes), Path(scratch))
+        case = network, partition(network.graph, processes)
+        return {"nodes": nodes, **_in_turns(case, case, rounds, Path(scratch), steps=(False, True))}
 
 
 def _steps(nodes: int) -> int:
@@ -238,26 +263,37 @@ def _in_turns(
     rounds: int,
     folder: Path,
     shared: tuple[bool, bool] = (True, True),
+    steps: tuple[bool, bool] = (True, True),
 ) -> dict[str, float]:
     """Return the medians of the ratios of two networks of shards, the second to the first, within a round."""
     runs = []
     for number in range(rounds):
-        turns = [*zip((before, after), shared, strict=True)]
+        turns = [
+            *zip(
+                (before, after), shared, [one and other for one, other in zip(shared, steps, strict=True)], strict=True
+            )
+        ]
         if number % 2:
             turns.reverse()
-        old, new = (shards(truth_of(*case), views_of(*case), folder, share) for case, share in turns)
+        old, new = (shards(truth_of(*case), views_of(*case), folder, *memory) for case, *memory in turns)
         if number % 2:
             old, new = new, old
         if before[0] is after[0] and old.x.tobytes() != new.x.tobytes():
             raise SystemExit("the trajectories differ")
         runs.append((old, new))
+    plants, agents = ([(sum(one.cpu_ms[part]), sum(two.cpu_ms[part])) for one, two in runs] for part in (PLANT, AGENTS))
     return {
-        "steps/s, ratio": statistics.median(new.steps_per_s / old.steps_per_s for old, new in runs),
-        "CPU, ratio": statistics.median(sum(new.cpu_ms) / sum(old.cpu_ms) for old, new in runs),
-        "CPU of plant, ratio": statistics.median(new.cpu_ms[0] / old.cpu_ms[0] for old, new in runs),
-        "CPU of agents, ratio": statistics.median(sum(new.cpu_ms[1:-1]) / sum(old.cpu_ms[1:-1]) for old, new in runs),
+        **_with_spread("steps/s, ratio", [new.steps_per_s / old.steps_per_s for old, new in runs]),
+        **_with_spread("CPU, ratio", [sum(new.cpu_ms) / sum(old.cpu_ms) for old, new in runs]),
+        "CPU of plant, ratio": statistics.median(new / old for old, new in plants),
+        "CPU of agents, ratio": statistics.median(new / old for old, new in agents),
         "CPU, ms of the second": statistics.median(sum(new.cpu_ms) for _, new in runs),
     }
+
+
+def _with_spread(name: str, ratios: Sequence[float]) -> dict[str, float]:
+    """Return the columns of the median, the least and the greatest of some ratios."""
+    return {name: statistics.median(ratios), f"{name}, least": min(ratios), f"{name}, most": max(ratios)}
 
 
 def main() -> None:
@@ -268,7 +304,10 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--cuts", action="store_true", help="a random graph by an order of its nodes, and by METIS")
     parser.add_argument("--unequal", action="store_true", help="a ring, and one with gains and weights that differ")
-    parser.add_argument("--shared", action="store_true", help="telemetry in messages, and in shared memory")
+    parser.add_argument("--shared", action="store_true", help="messages alone, and shared memory")
+    parser.add_argument(
+        "--shared-steps", action="store_true", help="states and inputs in messages, and in shared memory"
+    )
     parser.add_argument("--json", action="store_true")
     known = parser.parse_args()
     print(f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}", file=sys.stderr)
@@ -277,6 +316,7 @@ def main() -> None:
         (known.cuts, measure_cuts),
         (known.unequal, measure_unequal),
         (known.shared, measure_shared),
+        (known.shared_steps, measure_shared_steps),
     ):
         of_size = other if asked else of_size
     show((of_size(n, known.processes, known.rounds) for n in known.nodes), 26, known.json)

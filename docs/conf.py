@@ -27,7 +27,6 @@ extensions = [
     "sphinx.ext.mathjax",
     "sphinx-mathjax-offline",
     "sphinx_copybutton",
-    "sphinx_design",
     "reference",
 ]
 exclude_patterns = ["_build", "examples"]

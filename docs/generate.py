@@ -26,7 +26,7 @@ from pydantic import AfterValidator
 from pydantic.fields import FieldInfo
 
 from hedgerow.topologies import disturbances as disturbance_models
-from hedgerow.topologies import faults, generators, schema
+from hedgerow.topologies import faults, generators, schema, settings
 from hedgerow.topologies.base import Model, Uniform
 from hedgerow.topologies.load import bundled, find, load, parse
 from hedgerow.topologies.record import Record
@@ -198,18 +198,18 @@ def _default_of_file(field: FieldInfo) -> str:
         return "required"
     return (
         "—"
-        if isinstance(field.default, schema.Settings | Record) or field.default in (None, (), {})
+        if isinstance(field.default, settings.Settings | Record) or field.default in (None, (), {})
         else f"`{flow(field.default)}`"
     )
 
 
 def node() -> str:
     """Return the keys of a node, with the built-in defaults."""
-    return keys(schema.Node, default=_default_of_node)
+    return keys(settings.Node, default=_default_of_node)
 
 
 def _default_of_node(name: str) -> str:
-    otherwise = getattr(schema.Defaults.FALLBACK, name, None)
+    otherwise = getattr(settings.Defaults.FALLBACK, name, None)
     return "—" if otherwise is None else f"`{flow(otherwise)}`"
 
 
@@ -280,9 +280,9 @@ def of_faults() -> str:
 def random() -> str:
     """Return the models of random values, and the keys that accept them."""
     rows = ["| written | valid at | drawn value |", "|---|---|---|"]
-    owners: list[type[Model]] = [schema.Node, *_kinds()]
-    for model in (schema.Drawn, Uniform, disturbance_models.NonNegativeUniform):
-        inside = "M" if model is schema.Drawn else "[low, high]"
+    owners: list[type[Model]] = [settings.Node, *_kinds()]
+    for model in (settings.Drawn, Uniform, disturbance_models.NonNegativeUniform):
+        inside = "M" if model is settings.Drawn else "[low, high]"
         places = []
         for owner in owners:
             hints = typing.get_type_hints(owner, include_extras=True)
@@ -295,7 +295,7 @@ def random() -> str:
 
 
 def _place(owner: type[Model], name: str) -> str:
-    return f"`{name}`" if owner is schema.Node else f"`{owner.model_fields['kind'].default}.{name}`"
+    return f"`{name}`" if owner is settings.Node else f"`{owner.model_fields['kind'].default}.{name}`"
 
 
 def _members(hint: Any) -> Iterator[Any]:

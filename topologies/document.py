@@ -122,7 +122,7 @@ class Rows:
 
 
 class Named:
-    """Arrays by name."""
+    """A dictionary of arrays with any names."""
 
     def plain(self, value: Document) -> dict[str, Any]:
         return {name: one.tolist() for name, one in value.items()}

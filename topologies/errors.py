@@ -53,6 +53,7 @@ class Code(StrEnum):
     REFUSED = "refused"
     MESSAGE = "message"
     LIMIT = "limit"
+    VIEWER = "viewer"
     # A defect of this project: exit code 70.
     CRASH = "crash"
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from hedgerow.topologies.errors import HedgerowError
+from hedgerow.topologies.errors import Code, HedgerowError, UserError
 from hedgerow.topologies.graph import Array, Gain, Graph, Index, Mask
 
 if TYPE_CHECKING:
@@ -102,8 +102,9 @@ def smallest_eigenpair(a: Array, b: Gain, graph: Graph) -> tuple[float, Array]:
         try:
             values, vectors = np.linalg.eigh(_q_dense(a, b, graph))
         except np.linalg.LinAlgError as error:  # numbers outside the range of a topology file
-            raise HedgerowError(
-                f"gamma*: Q has no eigenvalues that can be computed ({error}); correct a and b"
+            raise UserError(
+                f"gamma*: Q has no eigenvalues that can be computed ({error}); correct a and b",
+                code=Code.TOPOLOGY,
             ) from None
         value, vector = float(values[0]), vectors[:, 0]
     elif graph.n > FACTORED:
@@ -133,7 +134,9 @@ def _lobpcg(a: Array, b: Gain, graph: Graph) -> tuple[float, Array]:
         values, vectors = lobpcg(q, (1 / diagonal)[:, None], M=divided, tol=residual, maxiter=2000, largest=False)
     value, vector = float(values[0]), vectors[:, 0] / np.linalg.norm(vectors[:, 0])
     if (found := float(np.linalg.norm(q @ vector - value * vector))) > 10 * residual:
-        raise HedgerowError(f"gamma*: lambda_min(Q) = {value:g} is known to {found:.1g} only; report this network")
+        raise HedgerowError(
+            f"gamma*: lambda_min(Q) = {value:g} is known to {found:.1g} only; report this network", code=Code.CRASH
+        )
     return value, vector
 
 

@@ -1,4 +1,4 @@
-"""Names of temporary files that tell their maker, and the removal of what a killed maker left behind."""
+"""Names of temporary files with the process that made them, and the removal of the files of killed processes."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ def new_name() -> str:
     with contextlib.suppress(OSError, ValueError):
         if machine := _machine():
             return f".hedgerow-{machine}-{pid:x}-{_start(pid):x}-{secrets.token_hex(4)}"
-    return f".hedgerow-{secrets.token_hex(8)}"  # no other process can find its maker: none removes it
+    return f".hedgerow-{secrets.token_hex(8)}"  # without its process in the name, no other process removes it
 
 
 def remove(folder: Path) -> None:
-    """Remove temporary files and folders of this user whose maker ran on this machine and is dead; once per folder."""
+    """Remove temporary files and folders that dead processes of this user and machine made; once per folder."""
     if folder in _SEEN:  # a folder can have many files, and a search writes often
         return
     _SEEN.add(folder)
@@ -47,7 +47,7 @@ def _remove(entry: os.DirEntry[str]) -> None:
 
 
 def _is_left(name: str) -> bool:
-    """Return True for a name of `new_name` whose process is dead; its id may belong to a younger process by now."""
+    """Return True for a name of `new_name` of a dead process; its id may belong to a younger process by now."""
     made = _NAME.fullmatch(name)
     if made is None or made[1] != _machine():
         return False
@@ -56,7 +56,7 @@ def _is_left(name: str) -> bool:
 
 @functools.cache
 def _machine() -> str:
-    """Return digits of this boot of this machine and of our process ids on it; empty if the system does not tell.
+    """Return digits of this boot of this machine and of our process ids on it; empty if the system does not give them.
 
     Containers of one machine, and machines that share a disk, have processes of equal ids.
     """
@@ -70,7 +70,7 @@ def _machine() -> str:
 def _start(pid: int) -> int | None:
     """Return the start of a process [clock ticks since the boot], None if there is no such process.
 
-    Raises OSError or ValueError if the system does not tell.
+    Raises OSError or ValueError if the system does not give it.
     """
     try:
         stat = Path(f"/proc/{pid}/stat").read_bytes()

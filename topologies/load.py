@@ -118,33 +118,41 @@ def content(path: FilePath) -> bytes:
 
 
 def parse(
-    text: bytes, name: str, folder: FilePath, overrides: Sequence[str] = (), named: Collection[str] = ()
+    text: bytes,
+    name: str,
+    folder: FilePath,
+    overrides: Sequence[str] = (),
+    named: Collection[str] = (),
+    columns: table.Table | None = None,
 ) -> Topology:
     """Return the topology in YAML text; messages use `name`, and `folder` holds its CSV files.
 
-    named: files of samples that may be elsewhere, because the user named them and not the text.
+    named: files of samples that may be elsewhere, because the user named them and not the text. columns: the table of
+    the text, in place of its file.
     """
     source = read_source(name, text)
     source.named.update(named)
-    found = _read(source, name, folder, overrides)
+    found = _read(source, name, folder, overrides, columns)
     if isinstance(found, Topology):
         return found
-    if overrides and not all(problem.origin for problem in found) and _is_good(name, text, folder):
+    if overrides and not all(problem.origin for problem in found) and _is_good(name, text, folder, columns):
         # The file is valid without the options, so the options cause the mistake, even if it shows elsewhere.
         blamed = " ".join(map(origin_of, overrides))
         found = Problems(problem if problem.origin else replace(problem, origin=blamed) for problem in found)
     raise TopologyError(name, found)
 
 
-def _is_good(name: str, text: bytes, folder: FilePath) -> bool:
+def _is_good(name: str, text: bytes, folder: FilePath, columns: table.Table | None) -> bool:
     try:
-        parse(text, name, folder)
+        parse(text, name, folder, columns=columns)
     except TopologyError:
         return False
     return True
 
 
-def _read(source: Source, name: str, folder: FilePath, overrides: Sequence[str]) -> Topology | Problems:
+def _read(
+    source: Source, name: str, folder: FilePath, overrides: Sequence[str], columns: table.Table | None
+) -> Topology | Problems:
     """Return the topology of a source, or all of its mistakes."""
     if source.value is None:
         cure = "start from a bundled one, such as topologies/paper7.yaml"
@@ -168,7 +176,8 @@ def _read(source: Source, name: str, folder: FilePath, overrides: Sequence[str])
         topology = topology.naming(source.named)
     if topology is not None and topology.table is not None:
         try:
-            topology = topology.with_table(table.read(topology.table, folder, topology.table_nodes))
+            columns = table.read(topology.table, folder, topology.table_nodes) if columns is None else columns
+            topology = topology.with_table(columns)
         except ValueError as error:
             refused = FileRefusedError.of(error)
             source.problems.append(source.problem(("table",), refused.what, refused.cure, refused.code))

@@ -24,7 +24,8 @@ from hedgerow.topologies.generators import GENERATORS
 from hedgerow.topologies.graph import LARGEST
 from hedgerow.topologies.piecewise import trace
 from hedgerow.topologies.record import Record
-from hedgerow.topologies.schema import Defaults, Node, Topology
+from hedgerow.topologies.schema import Topology
+from hedgerow.topologies.settings import Defaults, Node
 from hedgerow.topologies.source import Path, Source, place_of
 
 _SHOWN = 60

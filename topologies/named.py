@@ -10,9 +10,11 @@ from typing import Any, NamedTuple
 
 from hedgerow.topologies.errors import Code, TopologyError, UserError
 from hedgerow.topologies.load import content, find, parse
+from hedgerow.topologies.nodes import Nodes
 from hedgerow.topologies.plain import plain
-from hedgerow.topologies.resolve import resolve, to_yaml
+from hedgerow.topologies.resolve import resolve, text_beside_table
 from hedgerow.topologies.schema import Topology
+from hedgerow.topologies.table import Table
 
 MAPPING = "the network"
 """The name of a dictionary in messages. Its text is ours, so that a line and a column would mean nothing."""
@@ -32,6 +34,8 @@ class Given(NamedTuple):
     """`path=value` settings"""
     own_files: tuple[str, ...] = ()
     """files of samples that the user named in Python, and which may be anywhere"""
+    table: Table | None = None
+    """the numbers of a large Topology, which no text holds"""
 
     def __repr__(self) -> str:
         return f"<{' '.join([self.name, *self.overrides])}>"
@@ -43,7 +47,7 @@ class Given(NamedTuple):
     def parse(self) -> Topology:
         """Return the network with no number drawn yet; raise TopologyError with every mistake."""
         try:
-            return parse(self.text, self.name, self.folder, self.overrides, self.own_files)
+            return parse(self.text, self.name, self.folder, self.overrides, self.own_files, self.table)
         except TopologyError as error:
             if self.name == MAPPING:
                 error.without_lines()
@@ -57,11 +61,20 @@ class Given(NamedTuple):
 def given(network: Named) -> Given:
     """Return a network as it was given, for other seeds: a Topology of `hg.load` is drawn again from its file.
 
-    A changed copy of a Topology, and one of a run folder, have the numbers that they show, for every seed.
+    A changed copy of a Topology, and one of a run folder, have the numbers that they show, for every seed. So does one
+    with a setting of a drawn value, which has no place in the file.
     """
-    if isinstance(network, Topology) and isinstance(network.given_as, Given):
-        return network.given_as
+    remembered = _remembered(network)
+    if remembered is not None:
+        with contextlib.suppress(UserError):
+            remembered.parse()
+            return remembered
     return _given(network)
+
+
+def _remembered(network: Named) -> Given | None:
+    """Return the text that a Topology was drawn from, with its settings, which may not fit the text."""
+    return network.given_as if isinstance(network, Topology) and isinstance(network.given_as, Given) else None
 
 
 def text_of(network: Named) -> tuple[bytes, str, Path]:
@@ -71,7 +84,7 @@ def text_of(network: Named) -> tuple[bytes, str, Path]:
     shape, or a Topology. Raises UserError if there is no such file, or it cannot be read.
     """
     if isinstance(network, Topology):
-        return to_yaml(network).encode(), network.name, Path()
+        return text_beside_table(network).encode(), network.name, Path()
     if isinstance(network, Mapping):
         # A network of hg.Network has a folder if its table or samples lie in files.
         return json.dumps(plain(network)).encode(), MAPPING, getattr(network, "folder", None) or Path()
@@ -89,17 +102,15 @@ def text_of(network: Named) -> tuple[bytes, str, Path]:
 def resolved(network: Named, overrides: Sequence[str] = ()) -> Topology:
     """Return a network with all numbers drawn; arguments and errors as in `text_of` and `load.load`."""
     drawn = _given(network).with_overrides(*overrides).draw()
-    if isinstance(network, Topology) and isinstance(network.given_as, Given):
-        undrawn = network.given_as.with_overrides(*overrides)
-        with contextlib.suppress(UserError):  # a setting that names a drawn value has no place in the text
-            undrawn.parse()
-            drawn.with_given(undrawn)
-    return drawn
+    remembered = _remembered(network)
+    return drawn if remembered is None else drawn.with_given(remembered.with_overrides(*overrides))
 
 
 def _given(network: Named) -> Given:
     # Make the text first: it refuses a dictionary that contains itself.
     text, name, folder = text_of(network)
+    if isinstance(network, Topology) and isinstance(network.nodes, Nodes):
+        return Given(text, name, folder, table=Table.of(network.network, network.layout))
     return Given(text, name, folder, own_files=tuple(_files(network)) if isinstance(network, Mapping) else ())
 
 

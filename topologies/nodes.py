@@ -10,7 +10,7 @@ import numpy as np
 from hedgerow.topologies.disturbances import COMPONENTS, Component, Nothing
 from hedgerow.topologies.edges import Edge, Ends
 from hedgerow.topologies.network import Group, Network
-from hedgerow.topologies.schema import Node
+from hedgerow.topologies.settings import Node
 
 SPELLED_OUT = 1_000
 """Up to this number of nodes, a resolved file lists each of them; more nodes are in a table beside it."""

@@ -6,6 +6,7 @@ an added node, does not change the numbers of other nodes.
 
 from __future__ import annotations
 
+import hashlib
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,7 +21,7 @@ from hedgerow.topologies import lots, table
 from hedgerow.topologies.base import Uniform
 from hedgerow.topologies.disturbances import Confuse, Disturbance, Nothing, Samples
 from hedgerow.topologies.edges import Edge
-from hedgerow.topologies.errors import Code, HedgerowError, TopologyError
+from hedgerow.topologies.errors import Code, HedgerowError, TopologyError, UserError
 from hedgerow.topologies.faults import Crash, Fault, Jump
 from hedgerow.topologies.graph import Array, Index
 from hedgerow.topologies.hinf import allowed_intervals, smallest_eigenpair
@@ -31,7 +32,8 @@ from hedgerow.topologies.reading import Reading
 from hedgerow.topologies.record import SAMPLED, WHOLE
 from hedgerow.topologies.rules import broken_faults
 from hedgerow.topologies.samples import columns
-from hedgerow.topologies.schema import PER_NODE, Defaults, Drawn, Node, Topology
+from hedgerow.topologies.schema import PER_NODE, Topology
+from hedgerow.topologies.settings import Defaults, Drawn, Node
 from hedgerow.topologies.source import FLOAT, OTHER_WHOLE
 from hedgerow.topologies.table import Table
 
@@ -288,7 +290,7 @@ class _Drawing:
 
 
 def _joined(groups: Sequence[Group]) -> Group:
-    """Return one group from several of the same kind."""
+    """Join groups of disturbances of the same kind into one."""
     if len(groups) == 1:
         return groups[0]
     nodes = np.concatenate([group.nodes for group in groups])
@@ -329,8 +331,19 @@ def truth(topology: Topology) -> Array:
 def to_yaml(topology: Topology) -> str:
     """Return a topology as YAML text that `hedgerow.topologies.load` reads back to the same bits.
 
-    The text of a large network refers to the table that `save` writes beside it.
+    Raises UserError for a large network: its numbers lie in a table, which no text holds. `save` writes both.
     """
+    if isinstance(topology.nodes, Nodes):
+        raise UserError(
+            f"{topology.name}: {len(topology.ids):,} nodes lie in a table, and not in one text. Write two files with"
+            " hedgerow.topologies.resolve.save.",
+            code=Code.TOPOLOGY,
+        )
+    return text_beside_table(topology)
+
+
+def text_beside_table(topology: Topology) -> str:
+    """Return the YAML text of a topology; that of a large network refers to its table, `table.NAME`."""
     written = topology.model_dump(mode="json", exclude_none=True, exclude_defaults=True, exclude={"nodes", "edges"})
     if isinstance(topology.nodes, Nodes):
         written["table"] = table.NAME
@@ -351,7 +364,17 @@ def save(topology: Topology, path: Path) -> None:
     """Write a resolved topology to the file `path`; for a large network, write the table beside it."""
     if isinstance(topology.nodes, Nodes):
         table.write(topology.network, path.with_name(table.NAME), topology.layout)
-    path.write_text(to_yaml(topology), encoding="utf-8")
+    path.write_text(text_beside_table(topology), encoding="utf-8")
+
+
+def digest(topology: Topology) -> str:
+    """Return a hash of the text of a topology, and of the numbers in its table."""
+    found = hashlib.sha256(text_beside_table(topology).encode())
+    if isinstance(topology.nodes, Nodes):
+        for name, array in sorted(table.arrays(topology.network, topology.layout).items()):
+            found.update(f"{name} {array.dtype} {array.shape}".encode())
+            found.update(np.ascontiguousarray(array).tobytes())
+    return found.hexdigest()[:16]
 
 
 @dataclass(frozen=True)

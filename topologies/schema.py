@@ -11,7 +11,7 @@ import difflib
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
-from typing import Annotated, Any, ClassVar, Literal, Self, cast
+from typing import Annotated, Any, Literal, Self, cast
 
 import numpy as np
 from pydantic import (
@@ -28,27 +28,22 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
+from hedgerow.topologies import law_files
 from hedgerow.topologies.base import (
-    Label,
     Model,
     Name,
     NodeId,
-    Number,
     Positive,
     Seed,
     Steps,
-    TrueA,
     number,
 )
 from hedgerow.topologies.disturbances import (
     Disturbance,
-    Nothing,
-    Value,
     WorstCase,
     bare_kind,
-    mapping_or,
 )
-from hedgerow.topologies.edges import Edge, Ends, PositiveValue, WrittenEdge, ends_of, weight_of, weights_of
+from hedgerow.topologies.edges import Edge, Ends, WrittenEdge, ends_of, weight_of, weights_of
 from hedgerow.topologies.faults import Fault
 from hedgerow.topologies.generators import GraphRule
 from hedgerow.topologies.graph import Gain, Graph, Index
@@ -56,6 +51,7 @@ from hedgerow.topologies.law_choice import NAMES, LawChoice
 from hedgerow.topologies.network import Network, gains, groups_of, labels, padded, positions
 from hedgerow.topologies.partition import parts_of
 from hedgerow.topologies.record import Record
+from hedgerow.topologies.settings import Defaults, Node, Settings
 from hedgerow.topologies.table import NodesBy, Table
 
 LAWS = ("minimax", "hinf", "nominal")
@@ -80,59 +76,14 @@ def _law(value: Any) -> Any:
         raise PydanticCustomError("law", "{problem}", {"problem": str(error)}) from None
     if ":" not in choice.name and choice.name not in NAMES:
         near = difflib.get_close_matches(choice.name, NAMES, 1)
-        hint = f"; did you mean {near[0]}?" if near else ""
+        listed = f"; did you mean {near[0]}?" if near else ""
+        hint = law_files.hint(choice.name, exact=True) or listed or law_files.hint(choice.name)
         raise PydanticCustomError(
             "law", "a law is {names} or package.module:Class{hint}", {"names": ", ".join(NAMES), "hint": hint}
         )
     if choice.name in LAWS and choice.parameters:
         raise PydanticCustomError("law", "{name} has no parameters", {"name": choice.name})
     return str(choice)
-
-
-class Drawn(Model):
-    """Random candidates: this many, drawn uniformly from the interval that condition (3) allows."""
-
-    random: Annotated[StrictInt, Field(ge=1, le=1000)] = Field(description="the number of candidates, the paper's M")
-
-
-Candidates = Annotated[
-    Annotated[Annotated[tuple[Number, ...], Field(min_length=1)], Tag("list")] | Annotated[Drawn, Tag("random")],
-    mapping_or("list"),
-]
-
-
-class Settings(Model):
-    """The settings of a node."""
-
-    b: PositiveValue | None = Field(
-        None, description="the gain b_i of (1), the network's `b` if absent; or `{random: [low, high]}`"
-    )
-    a: TrueA | None = Field(
-        None,
-        description="the true a_i of (1), one of the candidates; or `random`: one of them, drawn",
-    )
-    candidates: Candidates | None = Field(
-        None,
-        description="the finite set A_i of (4), in the order that breaks ties; or `{random: M}`",
-    )
-    x0: Value | None = Field(None, description="the state at t = 0")
-    nominal: Number | None = Field(None, description="the a that the nominal controller assumes")
-    disturbance: Disturbance | None = Field(None, description="w_i; a list is summed")
-
-
-class Node(Settings):
-    """The settings of one node that override the defaults; in a resolved file, all of its settings."""
-
-    label: Label | None = Field(None, description="a text that is shown beside the id")
-    position: tuple[Number, Number] | None = Field(None, description="[x, y]: the place of the node in pictures")
-
-
-class Defaults(Settings):
-    """The settings of every node without its own value."""
-
-    FALLBACK: ClassVar[Settings] = Settings(
-        a="random", candidates=Drawn(random=5), x0=0.0, nominal=0.5, disturbance=Nothing()
-    )
 
 
 def _nodes(value: Any) -> Any:

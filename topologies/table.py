@@ -112,29 +112,53 @@ class Table:
             found["candidates"] = tuple(listed[~np.isnan(listed)].tolist())
         return found
 
+    @classmethod
+    def of(cls, network: Network, layout: tuple[int, ...] | None = None) -> Table:
+        """Return the table of a complete network, as if it was written and read."""
+        return cls(
+            network.ids,
+            network.graph.edges,
+            network.a,
+            network.x0,
+            network.nominal,
+            network.candidates,
+            network.disturbance,
+            network.parts,
+            b=None if isinstance(network.b, float) else network.b,
+            weights=network.graph.weights,
+            labels=network.labels,
+            positions=network.positions,
+            layout=layout,
+        )
+
 
 def write(network: Network, path: Path, layout: Sequence[int] | None = None) -> None:
-    """Write a complete network, which `read` reads back to the same bits.
+    """Write a complete network, which `read` reads back to the same bits; `layout` as in `arrays`."""
+    archive.write(path, {}, arrays(network, layout))
+
+
+def arrays(network: Network, layout: Sequence[int] | None = None) -> dict[str, NDArray[Any]]:
+    """Return the columns of a complete network.
 
     layout: the process of each node, (n,), if it is recorded.
     """
-    arrays: dict[str, Any] = {} if isinstance(network.ids, range) else {"ids": archive.id_array(network.ids)}
-    arrays |= {name: getattr(network, name) for name in _NUMBERS}
-    arrays |= {"edges": network.graph.edges, "candidates": network.candidates.T, "parts": network.parts}
+    found: dict[str, Any] = {} if isinstance(network.ids, range) else {"ids": archive.id_array(network.ids)}
+    found |= {name: getattr(network, name) for name in _NUMBERS}
+    found |= {"edges": network.graph.edges, "candidates": network.candidates.T, "parts": network.parts}
     if not isinstance(network.b, float):
-        arrays["b"] = network.b
+        found["b"] = network.b
     if network.graph.weights is not None:
-        arrays["weights"] = network.graph.weights
+        found["weights"] = network.graph.weights
     if network.labels is not None:
-        arrays["labels"] = np.array(network.labels, dtype=np.str_)
+        found["labels"] = np.array(network.labels, dtype=np.str_)
     if network.positions is not None:
-        arrays["positions"] = network.positions
+        found["positions"] = network.positions
     if layout is not None:
-        arrays["layout"] = np.array(layout, dtype=np.int32)
+        found["layout"] = np.array(layout, dtype=np.int32)
     for group in network.disturbance:
         name = f"w {group.number} {group.kind}"
-        arrays |= {f"{name} nodes": group.nodes} | {f"{name} {key}": column for key, column in group.values.items()}
-    archive.write(path, {}, arrays)
+        found |= {f"{name} nodes": group.nodes} | {f"{name} {key}": column for key, column in group.values.items()}
+    return found
 
 
 def read(file: str, folder: Path, named_by: NodesBy | None = None) -> Table:

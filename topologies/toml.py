@@ -15,7 +15,7 @@ _HEAD = re.compile(r"^[^=\n#]*", re.MULTILINE)
 
 
 def dumps(settings: Mapping[str, Any]) -> str:
-    """Return settings as TOML. Numbers come back bit for bit; a key with the value None is left out."""
+    """Return settings as TOML. Reading them gives numbers of the same bits. A key with the value None is left out."""
     import tomlkit  # noqa: PLC0415 (an agent on a small computer reads TOML, and does not have this package)
 
     return tomlkit.dumps(_without_none(settings))

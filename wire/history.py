@@ -25,7 +25,7 @@ class History:
     The arrays double up to a length of 2 `most`; then the last rows move to the front. So an append has the same cost
     at any length, and any span of steps is one slice. A new row waits in a queue first. The queue is written to the
     arrays when it is full or, for long rows, when a reader asks; most runs have no reader. So an appended row must not
-    change afterwards.
+    change afterwards. It is no `BoundedQueue`, because a reader takes any span of steps and removes nothing.
     """
 
     def __init__(self, most: int, states: int, inputs: int, bits: int) -> None:

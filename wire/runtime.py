@@ -22,8 +22,8 @@ _DUTIES = ("rx", "tx", "app", "net", "acc")
 def runtime_environment() -> dict[str, str]:
     """Return the environment variables that a process sets before it loads Zenoh and numpy.
 
-    Many processes share few cores (docs/performance.md). So Zenoh has one thread for each duty of its runtime. Linear
-    algebra has no threads: agents and plant do not use it, and a process that forks must have none.
+    Many processes share few cores (docs/performance-notes.md). So Zenoh has one thread for each duty of its runtime.
+    Linear algebra has no threads: agents and plant do not use it, and a process that forks must have none.
     """
     return {"OPENBLAS_NUM_THREADS": "1", _RUNTIME: _threads(dict.fromkeys(_DUTIES, "worker_threads: 1"))}
 
@@ -46,7 +46,7 @@ def share_the_cores() -> None:
     """Ask the kernel, on Linux, not to interrupt other processes when this one wakes up.
 
     Many processes answer each other on few cores. Each does its short work without a break, which makes the loop a
-    fifth to a third faster (docs/performance.md). Threads that start later inherit the setting.
+    fifth to a third faster (docs/performance-notes.md). Threads that start later inherit the setting.
     """
     with contextlib.suppress(AttributeError, OSError):
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
@@ -66,7 +66,7 @@ def keep_thread() -> None:
     """Keep Python's data about this thread, which belongs to Zenoh, until the process ends.
 
     Without this, Python would create and free that data for every message, which takes a quarter of the loop's time
-    (docs/performance.md). Zenoh may change to another thread, so every message calls this.
+    (docs/performance-notes.md). Zenoh may change to another thread, so every message calls this.
     """
     if not hasattr(KEPT, "here"):
         KEPT.here = True

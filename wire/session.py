@@ -348,7 +348,7 @@ class Sender:
 class Receiver:
     """A subscriber that counts its messages; `take` raises MessageError for a message that is not valid on its key.
 
-    Equal messages in a row count once: Zenoh sometimes delivers each message twice, and a copy tells nothing new.
+    Equal messages in a row count once: Zenoh sometimes delivers each message twice, and a copy has nothing new.
     """
 
     def __init__(self, session: zenoh.Session, key: str, take: Callable[[bytes], None]) -> None:

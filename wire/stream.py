@@ -29,7 +29,7 @@ It bounds the memory of both.
 """
 
 KNOWN_BATCHES = 2 * AHEAD_ROWS
-"""The number of batches whose copies are recognised: more than the plant sends before an acknowledgement."""
+"""The number of batches that are known when a copy comes: more than the plant sends before an acknowledgement."""
 
 
 def rows_ahead(n: int, e: int) -> int:
@@ -38,10 +38,14 @@ def rows_ahead(n: int, e: int) -> int:
 
 
 class Outbox:
-    """The sender's end. It stores each batch until the receiver acknowledges it. Not thread-safe."""
+    """The sender's end. It stores each batch until the receiver acknowledges it. Not thread-safe.
 
-    def __init__(self, put: Callable[[bytes], None]) -> None:
-        self._put = put
+    It is no `BoundedQueue`, because it reads a batch again for every repetition, and removes it later.
+    """
+
+    def __init__(self, put: Callable[[bytes], None], most_waiting: int = AHEAD_ROWS) -> None:
+        """`most_waiting` is the number of queued messages that leave at once."""
+        self._put, self._most_waiting = put, most_waiting
         self.sent = 0
         """the number of batches sent, repetitions not included"""
         self._sent_at = self._repeated_at = 0.0
@@ -66,7 +70,7 @@ class Outbox:
         """Send the next message; queue it if the last batch left a moment ago, so that messages share a batch."""
         self._add()
         self._waiting.append((join(message),))
-        if time.monotonic() - self._sent_at >= TOGETHER_S:
+        if len(self._waiting) >= self._most_waiting or time.monotonic() - self._sent_at >= TOGETHER_S:
             self._send()
 
     def _add(self) -> None:
@@ -105,7 +109,10 @@ class Outbox:
 
 
 class Inbox:
-    """The receiver's end. It accepts only the next batch; the sender repeats the others."""
+    """The receiver's end. It accepts only the next batch; the sender repeats the others.
+
+    The messages are in a deque and in no `BoundedQueue`: its lock costs 3.3 µs per message, and a deque 0.05 µs.
+    """
 
     def __init__(self, look_up: Callable[[bytes], bytes] | None = None) -> None:
         """`look_up` returns a copy of the row that a PLACE message names; without it, such a message is refused."""

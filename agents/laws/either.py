@@ -15,7 +15,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from hedgerow.agents.law import Array, two_smallest
+from hedgerow.agents.law import Array
 from hedgerow.agents.laws.listed import Listed
 from hedgerow.agents.laws.notch import LAGS, notched
 from hedgerow.agents.local import Received
@@ -40,20 +40,14 @@ class Either(Listed):
     def update(self, memory: Array, candidates: Array, x: Array, y: Array, t: int) -> None:
         """Add one sample to both."""
         m = len(candidates)
-        residual = candidates * x
-        residual -= y
-        residual *= residual
-        memory[:m] += residual
+        super().update(memory[:m], candidates, x, y, t)
         notched(memory[m:], candidates, x, y, t)
 
-    def _choose(self) -> None:
+    def scores(self) -> Array:
+        """Return the scores of the estimator that decides, (M, k)."""
         J, notch = self._memory[: self.m], self._memory[self.m : 2 * self.m]
         trust = notch.min(axis=0) < self.ratio * J.min(axis=0)
-        scores = np.where(trust, notch, J)
-        self.ahat[:] = self.candidates[scores.argmin(axis=0), self._nodes]
-        if self.m > 1:
-            least, second = two_smallest(scores)
-            np.subtract(second, least, out=self.margin)
+        return np.where(trust, notch, J)
 
     def learn(self, x: Array, flow: Array, x_next: Array, sample: Received) -> None:  # type: ignore[override]  # it asks
         """Learn the sample of step `sample.t`; skip nodes with an unknown flow (NaN)."""

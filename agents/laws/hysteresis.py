@@ -31,13 +31,10 @@ class Hysteresis(Listed):
         self.h = h
         super().__init__(b, candidates, more=1)  # the index of the model that is kept
 
-    def update(self, memory: Array, candidates: Array, x: Array, y: Array, t: int) -> None:  # noqa: ARG002
+    def update(self, memory: Array, candidates: Array, x: Array, y: Array, t: int) -> None:
         """Add the squared residuals, and switch if another model is better by the factor."""
-        residual = candidates * x
-        residual -= y
-        residual *= residual
         J, kept = memory[:-1], memory[-1]
-        J += residual
+        super().update(J, candidates, x, y, t)
         best, nodes = J.argmin(axis=0), np.arange(len(kept))
         switch = (1.0 + self.h) * J[best, nodes] <= J[kept.astype(np.int64), nodes]
         kept[switch] = best[switch]

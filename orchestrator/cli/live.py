@@ -1,19 +1,25 @@
-"""The commands for a running network: its faults, and its clock."""
+"""The commands for running networks: their list, their ends, their faults, and their clocks."""
 
 from __future__ import annotations
 
+import contextlib
 import inspect
 import json
+import os
 import re
+import signal
+import time
 from collections.abc import Callable
+from datetime import datetime
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from hedgerow.orchestrator.cli.names import WATCH, Commands
 from hedgerow.orchestrator.cli.numbers import real, real_argument, whole, whole_argument
-from hedgerow.orchestrator.cli.options import AsJson
+from hedgerow.orchestrator.cli.options import AsJson, Running
 from hedgerow.orchestrator.launch.fault_verbs import VERBS, FaultVerbs
+from hedgerow.topologies.errors import DeadlineError, check_options
 from hedgerow.topologies.escape import echo
 
 if TYPE_CHECKING:
@@ -62,8 +68,60 @@ Number = Annotated[int | None, whole_argument("the fault's number [all that can 
 def register(app: typer.Typer) -> None:
     """Add these commands to the operator's."""
     app.add_typer(faults, name="fault", rich_help_panel=WATCH)
-    for command in (heal, pause, resume, step, rate):
+    for command in (ps, status, stop, heal, pause, resume, step, rate):
         app.command(rich_help_panel=WATCH)(command)
+
+
+def ps(as_json: AsJson = False) -> int:
+    """List the running networks."""
+    from hedgerow.orchestrator.runs import registry  # noqa: PLC0415
+
+    entries = registry.running()
+    if as_json:
+        echo(json.dumps([vars(entry) for entry in entries]))
+        return 0
+    for entry in entries:
+        since = datetime.fromtimestamp(entry.started).strftime("%H:%M:%S")
+        echo(f"{entry.run}  pid {entry.pid}  since {since}  {entry.folder}")
+    if not entries:
+        echo("no network is running")
+    return 0
+
+
+def status(run: Running = None, as_json: AsJson = False) -> int:
+    """Print the step of a running network, and the agents that it waits for."""
+    from hedgerow.orchestrator.launch.live import Live, where  # noqa: PLC0415
+
+    with Live(run) as live:
+        answer = live.status()
+    echo(json.dumps({**vars(live.entry), **answer}) if as_json else f"{live.run}: {where(answer)}")
+    return 0
+
+
+def stop(
+    run: Running = None,
+    deadline: Annotated[float, real("seconds to wait for the end", metavar="S")] = 20.0,
+) -> int:
+    """End a running network as Ctrl-C does, and wait for its end."""
+    from hedgerow.orchestrator.launch.live import Live  # noqa: PLC0415
+    from hedgerow.orchestrator.runs import registry  # noqa: PLC0415
+    from hedgerow.wire.session import WireError  # noqa: PLC0415
+
+    check_options(deadline=deadline)
+    entry = registry.find(run)
+    try:
+        with Live(entry) as live:
+            live.ask_to_stop()
+    except WireError:  # the plant is gone or frozen: ask its parent process
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(entry.pid, signal.SIGTERM)
+    until = time.monotonic() + deadline
+    while entry in registry.running():
+        if time.monotonic() > until:
+            raise DeadlineError(f"{entry.run}: still there after {deadline:g} s; kill -9 {entry.pid} ends it at once")
+        time.sleep(0.05)
+    echo(f"{entry.run}: stopped; {entry.folder}")
+    return 0
 
 
 def _with(run: str | None, as_json: bool, ask: Callable[[Live], tuple[str, dict[str, Any]]]) -> int:

@@ -6,13 +6,10 @@ import contextlib
 import copy
 import functools
 import json
-import os
-import signal
 import sys
 import tempfile
 import threading
 import time
-from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TextIO
 
@@ -33,7 +30,7 @@ from hedgerow.orchestrator.cli import soak as cli_soak
 from hedgerow.orchestrator.cli import sweep as cli_sweep
 from hedgerow.orchestrator.cli import watch as cli_watch
 from hedgerow.orchestrator.cli.exit_code import code_of_run, run_to_exit_code
-from hedgerow.orchestrator.cli.names import EXPERIMENT, INSPECT, RUN, WATCH, Commands
+from hedgerow.orchestrator.cli.names import EXPERIMENT, INSPECT, RUN, Commands
 from hedgerow.orchestrator.cli.numbers import real, whole, whole_of
 from hedgerow.orchestrator.cli.options import (
     AsJson,
@@ -43,14 +40,13 @@ from hedgerow.orchestrator.cli.options import (
     NoProgress,
     Quiet,
     RunDir,
-    Running,
     Seed,
     Sets,
     Steps,
 )
 from hedgerow.orchestrator.cli.topology import importable, read, undrawn
 from hedgerow.orchestrator.launch.fork_client import ForkClient
-from hedgerow.topologies.errors import Code, DeadlineError, UserError, check_options
+from hedgerow.topologies.errors import Code, UserError, check_options
 from hedgerow.topologies.escape import command, echo
 from hedgerow.topologies.paths import user_path
 from hedgerow.wire.child import escape_warnings
@@ -379,61 +375,6 @@ def schema() -> int:
     from hedgerow.topologies.schema import Topology  # noqa: PLC0415
 
     echo(json.dumps(Topology.model_json_schema(), indent=2))
-    return 0
-
-
-@app.command(rich_help_panel=WATCH)
-def ps(as_json: AsJson = False) -> int:
-    """List the running networks."""
-    from hedgerow.orchestrator.runs import registry  # noqa: PLC0415
-
-    entries = registry.running()
-    if as_json:
-        echo(json.dumps([vars(entry) for entry in entries]))
-        return 0
-    for entry in entries:
-        since = datetime.fromtimestamp(entry.started).strftime("%H:%M:%S")
-        echo(f"{entry.run}  pid {entry.pid}  since {since}  {entry.folder}")
-    if not entries:
-        echo("no network is running")
-    return 0
-
-
-@app.command(rich_help_panel=WATCH)
-def status(run: Running = None, as_json: AsJson = False) -> int:
-    """Print the step of a running network, and the agents that it waits for."""
-    from hedgerow.orchestrator.launch.live import Live, where  # noqa: PLC0415
-
-    with Live(run) as live:
-        answer = live.status()
-    echo(json.dumps({**vars(live.entry), **answer}) if as_json else f"{live.run}: {where(answer)}")
-    return 0
-
-
-@app.command(rich_help_panel=WATCH)
-def stop(
-    run: Running = None,
-    deadline: Annotated[float, real("seconds to wait for the end", metavar="S")] = 20.0,
-) -> int:
-    """End a running network as Ctrl-C does, and wait for its end."""
-    from hedgerow.orchestrator.launch.live import Live  # noqa: PLC0415
-    from hedgerow.orchestrator.runs import registry  # noqa: PLC0415
-    from hedgerow.wire.session import WireError  # noqa: PLC0415
-
-    check_options(deadline=deadline)
-    entry = registry.find(run)
-    try:
-        with Live(entry) as live:
-            live.ask_to_stop()
-    except WireError:  # the plant is gone or frozen: ask its parent process
-        with contextlib.suppress(ProcessLookupError):
-            os.kill(entry.pid, signal.SIGTERM)
-    until = time.monotonic() + deadline
-    while entry in registry.running():
-        if time.monotonic() > until:
-            raise DeadlineError(f"{entry.run}: still there after {deadline:g} s; kill -9 {entry.pid} ends it at once")
-        time.sleep(0.05)
-    echo(f"{entry.run}: stopped; {entry.folder}")
     return 0
 
 

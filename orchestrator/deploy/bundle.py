@@ -9,7 +9,7 @@ from pathlib import Path
 from hedgerow.orchestrator.ground.law_source import source_of
 from hedgerow.orchestrator.launch.certificates import host_of, to_carry, write_private
 from hedgerow.topologies.escape import command, escape
-from hedgerow.topologies.resolve import to_yaml
+from hedgerow.topologies.resolve import save
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire import keys
 from hedgerow.wire.access import Place
@@ -124,7 +124,7 @@ def _write_rest(
 ) -> None:
     source = source_of(topology.law)
     source.write(folder)
-    (folder / "topology.yaml").write_text(to_yaml(topology), encoding="utf-8")
+    save(topology, folder / "topology.yaml")
     agent_files = [f"{config.process}{ending}" for config in configs if config.process != keys.PLANT]
     agents = [f"$ {command(['hedgerow-agent', '--config', name])}" for name in agent_files]
     shown = agents[:20] + ([f"... and {len(agents) - 20} more"] if len(agents) > 20 else [])

@@ -17,6 +17,7 @@ from hedgerow.orchestrator.ground.assignment import Layout
 from hedgerow.orchestrator.launch.certificates import CONFIGURATION, LIFE_DAYS, SETTINGS, carried, to_carry
 from hedgerow.orchestrator.launch.external_agents import configs
 from hedgerow.topologies.errors import Code, UserError
+from hedgerow.topologies.nodes import Nodes
 from hedgerow.topologies.resolve import to_yaml
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire import keys
@@ -167,6 +168,12 @@ def containers(
     if registry and not _REGISTRY.fullmatch(registry):
         raise UserError(
             f"--registry {registry}: is no prefix of an image. Write HOST[:PORT]/PATH in lower case.", code=Code.OPTION
+        )
+    if isinstance(topology.nodes, Nodes):
+        raise UserError(
+            f"{topology.name}: {len(topology.ids):,} nodes lie in a table, which no configuration of a container"
+            " holds. Use `orchestrator bundle`, with files of any size.",
+            code=Code.TOPOLOGY,
         )
     processes = configs(topology, shards, SECURE_ROUTER if folder else f"tcp/router:{ROUTER_PORT}", namespace)
     homes = [one.process for one in processes]

@@ -10,6 +10,7 @@ import contextlib
 import csv
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -27,15 +28,16 @@ from hedgerow.orchestrator.runs.files import load_events, read_verdict
 from hedgerow.orchestrator.runs.folder import RunFolder
 from hedgerow.topologies.errors import DeadlineError, HedgerowError
 from hedgerow.topologies.faults import Actuator, Cut, Delay, Drop, Fault, Sensor
-from hedgerow.topologies.paths import beside, real_path
+from hedgerow.topologies.paths import real_path
 from hedgerow.topologies.regular_file import last_text
-from hedgerow.topologies.resolve import to_yaml
+from hedgerow.topologies.resolve import save
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire.session import WireError
 
 Say = Callable[[str], None]
 Array = NDArray[np.float64]
 
+LOG = "up.log"
 STEPS = 10**9
 """more than any soak test makes"""
 SAMPLES = 240
@@ -137,11 +139,15 @@ def run_soak(
     topology = topology.model_copy(update={"steps": STEPS, "history": min(topology.history, HISTORY)})
     if faults:
         topology = with_faults(topology)
-    file = beside(folder.path, "-soak.yaml")
     wake = threading.Event()
-    with Interrupts(wake.set) as interrupts, _up(file, folder, topology, options) as up:
+    with (
+        Interrupts(wake.set) as interrupts,
+        # On the disk of the run, so that the log can move there.
+        tempfile.TemporaryDirectory(dir=folder.path.parent, prefix=".hedgerow-soak-") as scratch,
+        _up(Path(scratch), folder, topology, options) as up,
+    ):
         say(f"run folder {folder.path}")
-        entry = _entry(up, file.with_suffix(".log"), folder, records="--no-record" not in options)
+        entry = _entry(up, Path(scratch, LOG), folder, records="--no-record" not in options)
         samples = list(_samples(up, entry, minutes * 60, faults, lambda s: wake.wait(s) or interrupts.count > 0))
         up.terminate()  # a SIGINT may be ignored: a background job inherits that
         with contextlib.suppress(subprocess.TimeoutExpired):
@@ -167,12 +173,15 @@ def run_soak(
 
 
 @contextlib.contextmanager
-def _up(file: Path, folder: RunFolder, topology: Topology, options: Sequence[str]) -> Iterator[subprocess.Popen[bytes]]:
-    """Run `orchestrator up` for that network; it ends with this process, for any reason."""
-    file.write_text(to_yaml(topology), encoding="utf-8")
+def _up(
+    scratch: Path, folder: RunFolder, topology: Topology, options: Sequence[str]
+) -> Iterator[subprocess.Popen[bytes]]:
+    """Run `orchestrator up` for that network, with its files in `scratch`; it ends with this process."""
+    file = scratch / "topology.yaml"
+    save(topology, file)
     command = [sys.executable, "-P", "-m", "hedgerow.orchestrator", "up", str(file), "--run-dir", str(folder.path)]
     fixed = ["--viewer", "none", "--lifeline", "--plain"]
-    log_file = file.with_suffix(".log")
+    log_file = scratch / LOG
     with log_file.open("wb") as log:
         process = subprocess.Popen(
             [*command, *fixed, *options], stdin=subprocess.PIPE, stdout=log, stderr=log, start_new_session=True
@@ -187,10 +196,8 @@ def _up(file: Path, folder: RunFolder, topology: Topology, options: Sequence[str
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
-        file.unlink(missing_ok=True)
         with contextlib.suppress(OSError):
-            log_file.replace(folder.logs / "up.log")
-        log_file.unlink(missing_ok=True)
+            log_file.replace(folder.logs / LOG)
 
 
 def _entry(up: subprocess.Popen[bytes], log: Path, folder: RunFolder, records: bool) -> registry.Entry:

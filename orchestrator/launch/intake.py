@@ -43,6 +43,10 @@ WAKE_ROWS = 512
 """The number of rows per reading, unless half of the rows that the plant waits for is less."""
 
 
+LOOK_S = 0.1
+"""The time between two looks at a viewer that does not answer yet [s]."""
+
+
 class Intake:
     """The telemetry of one run on its way from the plant into the recording."""
 
@@ -69,6 +73,9 @@ class Intake:
         """the arrival of the first step, by time.monotonic()"""
         self._repeated = False
         """True if the plant has sent a batch again that we have"""
+        self._announced = True
+        """False while the viewer has started, and its link does not answer yet"""
+        self._look_at = 0.0
         self._refused = 0
         """messages on `telemetry` that no plant sends"""
 
@@ -91,6 +98,7 @@ class Intake:
 
     def take(self, processes: Processes) -> bool:
         """Observe the received messages in their order and acknowledge them; return False if there were none."""
+        self._announce()
         messages = self._inbox.drain()
         run, (n, e) = self._run, self._size
         for kind, some in itertools.groupby(messages, kind_of):
@@ -130,9 +138,21 @@ class Intake:
             if (batch := run.take(rows[some : some + run.rows_at_once])) is not None:
                 self._screen.progress(batch)
         if unseen and run.viewer is not None:
-            ends = "" if run.viewer.link is None or run.page_stays else ", until the run ends (--keep leaves it open)"
-            self._screen.say(f"watch it at {run.viewer.link or run.viewer.url}{ends}")
+            self._announced = False
         run.warn(self._screen)
+
+    def _announce(self) -> None:
+        """Print the link of the viewer once it answers: a browser that asks before shows an error."""
+        viewer, now = self._run.viewer, time.monotonic()
+        if self._announced or viewer is None or now < self._look_at:
+            return
+        self._look_at = now + LOOK_S
+        if viewer.gone:  # the feeder warns
+            self._announced = True
+        elif viewer.answers():
+            self._announced = True
+            ends = "" if viewer.link is None or self._run.page_stays else " until the run ends (--keep leaves it open)"
+            self._screen.say(f"watch it at {viewer.link or viewer.url}{ends}")
 
     def _changed(self, topology: Topology, event: dict[str, Any]) -> Topology | None:
         """Return the topology with the faults after an event; None if they stay.

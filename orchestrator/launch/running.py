@@ -29,7 +29,7 @@ from hedgerow.orchestrator.runs.run import Run
 from hedgerow.topologies.errors import Code, DeadlineError, Exit, HedgerowError, UserError
 from hedgerow.topologies.paths import real_path
 from hedgerow.topologies.regular_file import last_text
-from hedgerow.topologies.resolve import to_yaml
+from hedgerow.topologies.resolve import save
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire.session import WireError
 
@@ -51,7 +51,7 @@ class UpProcess:
         self._scratch.mkdir(exist_ok=True)
         self._output = self._scratch / "output.log"
         file = self._scratch / "topology.yaml"
-        file.write_text(to_yaml(topology), encoding="utf-8")
+        save(topology, file)
         command = [sys.executable, "-P", "-m", "hedgerow.orchestrator", "up", str(file), "--run-dir", str(self.folder)]
         with self._output.open("wb") as output:
             self.process = subprocess.Popen(

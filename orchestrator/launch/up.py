@@ -20,6 +20,7 @@ from hedgerow.orchestrator.launch.launching import Launch, Launched
 from hedgerow.orchestrator.launch.options import Options
 from hedgerow.orchestrator.launch.supervisor import Processes, cause
 from hedgerow.orchestrator.runs.folder import RunFolder
+from hedgerow.orchestrator.runs.log_files import escape_logs
 from hedgerow.orchestrator.views.screen import Screen
 from hedgerow.topologies.errors import Exit
 from hedgerow.topologies.schema import Topology
@@ -27,7 +28,8 @@ from hedgerow.wire import keys
 from hedgerow.wire.session import WireError, has_router
 from hedgerow.wire.start import loading
 
-# The modules of the observer load while the processes of the run start.
+# The modules of the observer take a tenth of a second to load, and Arrow two tenths. The first load while the processes
+# of the run start, in `_recording`; Arrow loads after the run. At the top, both would delay the first step.
 if TYPE_CHECKING:
     from hedgerow.orchestrator.launch.recording import Recording
     from hedgerow.orchestrator.metrics.verdict import Ending, Verdict
@@ -120,8 +122,7 @@ class Network:
             self.interrupted = interrupts.name
             from hedgerow.orchestrator.launch.comparison import compare  # noqa: PLC0415
             from hedgerow.orchestrator.launch.judging import explain  # noqa: PLC0415
-            from hedgerow.orchestrator.runs.log_files import escape_logs  # noqa: PLC0415
-            from hedgerow.orchestrator.runs.round_trips import line  # noqa: PLC0415  # pyarrow delays the first step
+            from hedgerow.orchestrator.runs.round_trips import line  # noqa: PLC0415
 
             run = self._recording
             explain(found, run, self._folder, self._ending)
@@ -142,9 +143,12 @@ class Network:
         case.
         """
         if viewer.link is not None and self._recording.page_stays and not interrupts.count:
-            self._screen.say(f"{viewer.link} stays until Ctrl-C")
             self._wake.clear()
-            while not interrupts.count:
+            while not (viewer.answers() or viewer.gone or interrupts.count):  # a short run ends before its page answers
+                self._wake.wait(TICK_S)
+            if viewer.answers() and not interrupts.count:
+                self._screen.say(f"{viewer.link} stays until Ctrl-C")
+            while not (viewer.gone or interrupts.count):
                 self._wake.wait(TICK_S)
         viewer.end()
 

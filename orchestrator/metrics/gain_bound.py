@@ -18,7 +18,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from hedgerow.orchestrator.metrics.gain_plant import Plant
+from hedgerow.orchestrator.metrics.gain_plant import PlantModel
 from hedgerow.orchestrator.metrics.gain_uniform import uniform
 from hedgerow.orchestrator.metrics.semidefinite import Blocks, Form, NoBoundError, Program, Unknowns
 from hedgerow.topologies.graph import Array, Index
@@ -89,7 +89,7 @@ class Bound:
         return np.asarray(x * x @ self.p if self.p.ndim == 1 else ((x @ self.p) * x).sum(axis=-1))
 
 
-def method_for(plant: Plant, premise: Premise) -> Method:
+def method_for(plant: PlantModel, premise: Premise) -> Method:
     """Return the program that gives the least bound in about a second."""
     if 3 * plant.n + len(plant.edges) <= WHOLE_LARGEST and _has_cycle(plant):
         return Method.WHOLE
@@ -97,7 +97,7 @@ def method_for(plant: Plant, premise: Premise) -> Method:
     return Method.UNIFORM if hub or plant.n > SPLIT_LARGEST[premise] else Method.SPLIT
 
 
-def _has_cycle(plant: Plant) -> bool:
+def _has_cycle(plant: PlantModel) -> bool:
     parent = list(range(plant.n))
 
     def root(i: int) -> int:
@@ -114,7 +114,7 @@ def _has_cycle(plant: Plant) -> bool:
     return False
 
 
-def bound(plant: Plant, premise: Premise, method: Method | None = None, time_limit_s: float = 600.0) -> Bound:
+def bound(plant: PlantModel, premise: Premise, method: Method | None = None, time_limit_s: float = 600.0) -> Bound:
     """Return the proved bound of a network under a premise, or raise NoBoundError.
 
     Without a method, `method_for` chooses.
@@ -134,12 +134,12 @@ def bound(plant: Plant, premise: Premise, method: Method | None = None, time_lim
     return _bound(plant, premise, Method.UNIFORM, until)
 
 
-def _permitted(plant: Plant, premise: Premise) -> bool:
+def _permitted(plant: PlantModel, premise: Premise) -> bool:
     """Return True if the truth is within the lists, which the premise `jumps` needs."""
     return premise != Premise.JUMPS or bool(((plant.lowest <= plant.a) & (plant.a <= plant.highest)).all())
 
 
-def _bound(plant: Plant, premise: Premise, method: Method, until: float) -> Bound:
+def _bound(plant: PlantModel, premise: Premise, method: Method, until: float) -> Bound:
     began = time.monotonic()
     margin = MARGIN if plant.n <= LARGE else LARGE_MARGIN
     if method == Method.UNIFORM:
@@ -172,7 +172,7 @@ def _symmetric(upper: Array, n: int) -> Array:
     return matrix
 
 
-def _whole(plant: Plant, premise: Premise, full: bool) -> tuple[Program, Index]:
+def _whole(plant: PlantModel, premise: Premise, full: bool) -> tuple[Program, Index]:
     """Return the program with one matrix, and the unknowns of P."""
     n, e = plant.n, len(plant.edges)
     edges = premise != Premise.ESTIMATES
@@ -243,11 +243,11 @@ def _sum(*parts: tuple[float, Form]) -> Form:
     return Form(tuple(total), tuple(total.values()))
 
 
-def _split(plant: Plant, premise: Premise) -> tuple[Program, Index]:
+def _split(plant: PlantModel, premise: Premise) -> tuple[Program, Index]:
     """Return the program with one matrix per node, over (x, z, w, v) of the node and phi of its edges.
 
     The two ends of an edge share phi_e only: `share` divides its square between them. If every edge is open, phi_e is
-    (B'z)_e, so nu may have either sign, and so may theta, the multiplier of (phi_e - (B'z)_e)(B_ie z_i - B_je z_j).
+    (B'z)_e, so nu may have either sign, and so may sigma, the multiplier of (phi_e - (B'z)_e)(B_ie z_i - B_je z_j).
     """
     n, e = plant.n, len(plant.edges)
     edges, jumps = premise != Premise.ESTIMATES, premise == Premise.JUMPS
@@ -262,7 +262,7 @@ def _split(plant: Plant, premise: Premise) -> tuple[Program, Index]:
     unknowns = Unknowns()
     p, tau, s = unknowns.new(n), unknowns.new(n), unknowns.new(n * jumps)
     nu, share = unknowns.new(e, free=not edges), unknowns.new(e, free=True)
-    theta = unknowns.new(e * (not edges), free=True)
+    sigma = unknowns.new(e * (not edges), free=True)
     sign = np.repeat([1.0, -1.0], e)
     every = []
     for kind in np.unique(np.stack([degree, fixed, unmoved]), axis=1).T:
@@ -287,8 +287,8 @@ def _split(plant: Plant, premise: Premise) -> tuple[Program, Index]:
             blocks.add(share[own], phi, phi, sign[end])
             blocks.add(nu[own], phi, z, gain)
             if not edges:
-                blocks.add(theta[own], phi, z, sign[end] * gain)
-                blocks.add(theta[own], z, z, -sign[end] * gain * gain)
+                blocks.add(sigma[own], phi, z, sign[end] * gain)
+                blocks.add(sigma[own], z, z, -sign[end] * gain * gain)
         after = Form(tuple(after_index), tuple(after_value))
         blocks.add(p[nodes], after, after)
         blocks.add(p[nodes], x, x, -1.0)

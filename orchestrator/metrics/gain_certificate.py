@@ -22,7 +22,7 @@ import numpy as np
 
 from hedgerow.orchestrator.metrics.checks import TINY, Worst
 from hedgerow.orchestrator.metrics.gain_bound import Bound, Premise
-from hedgerow.orchestrator.metrics.gain_plant import Plant
+from hedgerow.orchestrator.metrics.gain_plant import PlantModel
 from hedgerow.orchestrator.metrics.guarantee import Guarantee
 from hedgerow.orchestrator.metrics.semidefinite import UNIT
 from hedgerow.topologies.graph import Array, Index, Mask
@@ -66,7 +66,7 @@ class Track:
 class GainCertificate:
     """Checks the certificates of one run."""
 
-    def __init__(self, plant: Plant, x0: Array) -> None:
+    def __init__(self, plant: PlantModel, x0: Array) -> None:
         self._plant, self._x0 = plant, x0
         e = len(plant.edges)
         degree = int(np.bincount(plant.edges.ravel(), minlength=plant.n).max(initial=0))

@@ -1,10 +1,10 @@
 """An upper bound on the gain of the law (7) that counts what it learns, for small networks.
 
 It is Theorem 3 of Rantzer (2021) for the product set of the models of a network, of which (7) chooses the one with the
-least J: J is a sum over nodes. Let t be the truth, A_jk = A_j - B B' Theta_k with Theta = diag(1/(1 - a)). Find one P_j
-per model j, and the least g, such that for all models j and k, and all (x, w),
+least J: J is a sum over nodes. Let 0 be the truth, and A_0k = A_0 - B B' Theta_k with Theta = diag(1/(1 - a)). Find one
+P_j per model j, and the least g, such that for all models j and k, and all (x, w),
 
-    |A_tk x + w|^2_(P_j) - g (theta |w|^2 + (1 - theta) |w + (A_t - A_j) x|^2) + |x|^2 + |B' Theta_k x|^2
+    |A_0k x + w|^2_(P_j) - g (theta |w|^2 + (1 - theta) |w + (A_0 - A_j) x|^2) + |x|^2 + |B' Theta_k x|^2
         <= |x|^2_(P_k).
 
 Rantzer has theta = 1/2, and pairs of any two models; pairs with the truth are enough, for one truth. With theta = 1 the
@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hedgerow.orchestrator.metrics.gain_bound import MARGIN
-from hedgerow.orchestrator.metrics.gain_plant import Plant
+from hedgerow.orchestrator.metrics.gain_plant import PlantModel
 from hedgerow.orchestrator.metrics.semidefinite import Blocks, NoBoundError, Program, Unknowns
 from hedgerow.topologies.graph import Array
 
@@ -48,7 +48,7 @@ class Learning:
         return math.sqrt(self.g)
 
 
-def learning(plant: Plant, candidates: Array, time_limit_s: float = 600.0) -> Learning:
+def learning(plant: PlantModel, candidates: Array, time_limit_s: float = 600.0) -> Learning:
     """Return the proved bound of a network under (7); raises NoBoundError.
 
     candidates: (M, n), NaN where a list has fewer. Every edge is open, no a jumps, and every message arrives.
@@ -81,7 +81,7 @@ def learning(plant: Plant, candidates: Array, time_limit_s: float = 600.0) -> Le
     return Learning(g, best, count, margin, time.monotonic() - began)
 
 
-def _bound(plant: Plant, models: Array, theta: float, time_limit_s: float) -> tuple[float, float]:
+def _bound(plant: PlantModel, models: Array, theta: float, time_limit_s: float) -> tuple[float, float]:
     program = _program(plant, models, theta)
     margin = MARGIN
     for _ in range(3):
@@ -92,7 +92,7 @@ def _bound(plant: Plant, models: Array, theta: float, time_limit_s: float) -> tu
     raise NoBoundError("the solver's answer is not proved, even with a larger margin")
 
 
-def _program(plant: Plant, models: Array, theta: float) -> Program:
+def _program(plant: PlantModel, models: Array, theta: float) -> Program:
     """Return the program: one block in (x, w) for every two models, and P of the truth at least 0."""
     n, count = plant.n, len(models)
     truth = int((models == plant.a).all(axis=1).argmax())

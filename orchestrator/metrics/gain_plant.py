@@ -10,7 +10,7 @@ from hedgerow.topologies.graph import Array, Index
 
 
 @dataclass(frozen=True)
-class Plant:
+class PlantModel:
     """The numbers of a network that a bound depends on."""
 
     a: Array
@@ -29,7 +29,7 @@ class Plant:
     @classmethod
     def of(
         cls, a: Array, b: float | Array, edges: Index, weights: Array | None, lowest: Array, highest: Array
-    ) -> Plant:
+    ) -> PlantModel:
         """Return the plant of a network with gains b (one, or one per node) and weights (None: all 1)."""
         root = np.ones(len(edges)) if weights is None else np.sqrt(weights)
         return cls(a, np.broadcast_to(np.asarray(b, dtype=float), a.shape), edges, root, lowest, highest)

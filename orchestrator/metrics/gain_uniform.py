@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from hedgerow.orchestrator.metrics.gain_plant import Plant
+from hedgerow.orchestrator.metrics.gain_plant import PlantModel
 from hedgerow.orchestrator.metrics.semidefinite import UNIT, Blocks, Form, NoBoundError, Program
 from hedgerow.topologies.graph import Array, Index
 
@@ -54,7 +54,7 @@ class Nodes:
     """the largest candidate"""
 
     @classmethod
-    def of(cls, plant: Plant, jumps: bool) -> Nodes:
+    def of(cls, plant: PlantModel, jumps: bool) -> Nodes:
         """Return the nodes of a plant; with `jumps` any a within the lists."""
         low, high = plant.lowest, plant.highest
         moves = (low < high) & jumps
@@ -317,7 +317,7 @@ def _excess(nodes: Nodes, edges: Edges, g: float, nu: float) -> tuple[float, flo
     return value - nu + 1, float(weight @ found.by_g), float(weight @ found.by_nu) - 1
 
 
-def uniform(plant: Plant, jumps: bool, margin: float, until: float) -> tuple[float, Array, float]:
+def uniform(plant: PlantModel, jumps: bool, margin: float, until: float) -> tuple[float, Array, float]:
     """Return a proved g, the storage p, and the magnitude; every form is at most -margin |(x, z, w, v, phi)|^2.
 
     Raises NoBoundError.

@@ -13,7 +13,7 @@ import numpy as np
 
 from hedgerow.orchestrator.metrics.gain_bound import Bound, Method, Premise, bound, method_for
 from hedgerow.orchestrator.metrics.gain_learning import Learning
-from hedgerow.orchestrator.metrics.gain_plant import Plant
+from hedgerow.orchestrator.metrics.gain_plant import PlantModel
 from hedgerow.topologies.errors import HedgerowError
 from hedgerow.topologies.network import Network
 
@@ -111,9 +111,9 @@ class Guarantee:
         return "\n".join(lines)
 
 
-def plant_of(network: Network) -> Plant:
+def plant_of(network: Network) -> PlantModel:
     """Return the numbers of a network that affect its bounds; the lists are those of the file, under any law."""
-    return Plant.of(
+    return PlantModel.of(
         network.a,
         network.b,
         network.graph.edges,
@@ -123,7 +123,7 @@ def plant_of(network: Network) -> Plant:
     )
 
 
-def fingerprint(plant: Plant) -> str:
+def fingerprint(plant: PlantModel) -> str:
     """Return a hash of all that the gain of a network depends on."""
     digest = hashlib.sha256()
     for each in (plant.a, plant.b, plant.edges, plant.root_weights, plant.lowest, plant.highest):
@@ -132,7 +132,7 @@ def fingerprint(plant: Plant) -> str:
 
 
 def guarantee(
-    plant: Plant,
+    plant: PlantModel,
     gamma_star: float = math.nan,
     method: Method | None = None,
     premises: Iterable[Premise] = Premise,
@@ -160,7 +160,7 @@ _CERTIFIED: dict[str, Guarantee] = {}
 """the guarantees of the last networks that ran in this process, by fingerprint"""
 
 
-def certified(plant: Plant, gamma_star: float) -> Guarantee:
+def certified(plant: PlantModel, gamma_star: float) -> Guarantee:
     """Return the guarantee that certifies a run; the second run of a network in a process does not solve again."""
     key = fingerprint(plant)
     if key not in _CERTIFIED:

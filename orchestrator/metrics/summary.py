@@ -17,7 +17,8 @@ from hedgerow.topologies.network import span
 from hedgerow.topologies.nodes import Nodes
 from hedgerow.topologies.partition import cut, cut_weight, pieces
 from hedgerow.topologies.resolve import truth
-from hedgerow.topologies.schema import Drawn, Topology
+from hedgerow.topologies.schema import Topology
+from hedgerow.topologies.settings import Drawn
 
 MAX_ROWS = 200
 

@@ -167,7 +167,7 @@ class Verdict:
                     less,
                     m["gamma_star"],
                     c["checks"]["oracle_certificate"]["steps"] == c["steps_done"],
-                    law_limit(c),
+                    _limit_text(c),
                 ),
                 estimates_text(c["real_estimates"], m["nodes_right"], c["nodes"], m["estimate_error"]),
             ]
@@ -186,21 +186,23 @@ def estimates_text(real: bool, right: int, nodes: int, error: float | None) -> s
     return f"{right} of {nodes} estimates right"
 
 
-def law_limit(content: Mapping[str, Any]) -> str:
-    """Return the smallest bound on the gain with a premise that held in the whole run, in words with the premise.
+def law_limit(content: Mapping[str, Any]) -> tuple[Premise, float] | None:
+    """Return the smallest bound on the gain with a premise that held in the whole run, and the premise.
 
-    The text is empty if there is none.
+    Of bounds that print alike, the first has the strongest premise, which takes the fewest words.
     """
     bounds = content["gain_bounds"].get("bounds", {})
-    held = {premise: entry["gain"] for premise, entry in bounds.items() if entry.get("held") and "gain" in entry}
-    if not held:
-        return ""
-    premise = min(held, key=held.__getitem__)
-    return f"at most {rounded_up(held[premise])} {_UNDER[Premise(premise)]}"
+    held = [(Premise(name), entry["gain"]) for name, entry in bounds.items() if entry.get("held") and "gain" in entry]
+    return min(held, key=lambda limit: float(rounded_up(limit[1])), default=None)
+
+
+def _limit_text(content: Mapping[str, Any]) -> str:
+    limit = law_limit(content)
+    return f"at most {rounded_up(limit[1])} {_UNDER[limit[0]]}" if limit else ""
 
 
 def gain_text(gain: float, less: float, gamma_star: float, faultless: bool, at_most: str = "") -> str:
-    """Return the gain in words, with the limit of the law (`at_most`, the text of `law_limit`) and with gamma*.
+    """Return the gain in words, with the limit of the law (`at_most`) and with gamma*.
 
     `less` is the gain less V(x(0)). If it differs from `gain`, the gain has the cost of x(0), which no limit has. Then
     gamma* is left out: the two are not comparable. Numbers are NaN where they are undefined or not known yet.

@@ -20,7 +20,8 @@ from hedgerow.orchestrator.report.reading import METRICS, growth, metrics, numbe
 from hedgerow.orchestrator.runs.run import Run
 from hedgerow.topologies.escape import command
 from hedgerow.topologies.network import span
-from hedgerow.topologies.resolve import to_yaml
+from hedgerow.topologies.nodes import Nodes
+from hedgerow.topologies.resolve import text_beside_table
 
 Runs = Sequence[Run]
 NODES = 200
@@ -215,8 +216,8 @@ def _faults(run: Run, behind: str) -> list[Markup]:
 def _repeat(runs: Runs) -> list[Markup]:
     parts = [tag("h2", "To repeat it")]
     for run in runs:
-        text, name = to_yaml(run.topology).encode(), f"{run.name}.yaml"
-        if len(text) <= YAML_BYTES:
+        text, name = text_beside_table(run.topology).encode(), f"{run.name}.yaml"
+        if len(text) <= YAML_BYTES and not isinstance(run.topology.nodes, Nodes):
             link = f"data:text/yaml;base64,{base64.b64encode(text).decode()}"
             where = join([tag("a", name, download=name, href=link), " holds every number that was drawn."])
         else:

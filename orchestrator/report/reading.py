@@ -74,6 +74,11 @@ def sentences(run: Run) -> list[str]:
 
 
 def _gain(less: float, gamma_star: float, run: Run) -> str:
+    if less == 0:
+        return (
+            f"V(x(0)), the maximum cost of x(0) for the oracle, is more than the whole cost. So this run is too short"
+            f" to compare its gain with γ* = {gamma_star:.4g}."
+        )
     text = (
         f"The gain with V(x(0)) subtracted, the maximum cost of x(0) for the oracle, is {less:.4g},"
         f" and γ* = {gamma_star:.4g}."

@@ -98,9 +98,10 @@ def _signed(runs: Runs, label: str, values: Callable[[Run], Array]) -> Figure:
 
 GAINS = (
     Series("gain", lambda run: run.gain, ORANGE, "--"),
-    Series("less $V(x(0))$", lambda run: run.gain_less_x0, BLUE),
     Series(r"$\gamma^*$ (oracle)", lambda run: float(run.gamma_star), GREY, ":"),
+    Series("without $V(x(0))$", lambda run: run.gain_less_x0, BLUE),
 )
+"""The lines of the gain, from the top line to the lowest in most runs: the legend has their order."""
 
 CEILING = Series("at most (law)", lambda run: run.ceiling, RED, "-.")
 
@@ -109,7 +110,7 @@ def gain(runs: Runs) -> Figure:
     """Draw the empirical gain, with and without the maximum cost of x(0), with the oracle's number and the law's
     bound.
     """
-    figure, axis = _one(runs, "gain [1]", [*GAINS[:-1], CEILING, GAINS[-1]] if _bounded(runs) else GAINS)
+    figure, axis = _one(runs, "gain [1]", [GAINS[0], CEILING, *GAINS[1:]] if _bounded(runs) else GAINS)
     axis.set_ylim(0, ceiling(runs))
     return figure
 

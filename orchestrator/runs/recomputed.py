@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 TABLES = "tables"
 _CLOSE = 1e-9
-"""The relative difference of numbers from a solver, whose last digits depend on the machine."""
+"""The relative difference of numbers from a solver: their last digits depend on the machine."""
 
 
 def first_other(run: Run, batch: Batch, observer: Observer) -> Finding | None:
@@ -54,7 +54,7 @@ def _labels(run: Run) -> Iterator[Finding]:
 
 
 def _first_label(run: Run, table: str, name: str, ids: pa.Array, steps: Index) -> Iterator[Finding]:
-    """Yield the first row whose id is not that of its place, in parts that fit into memory."""
+    """Yield the first row with another id than that of its place, in parts that fit into memory."""
     at = 0
     for batch in run.tables[table].batches():
         seen = batch.column(batch.schema.get_field_index(name))

@@ -80,6 +80,8 @@ class _Table:
             return
         if not self._full:  # otherwise the end of the stream would follow a gap
             self._writer.close()
+        elif not self.stream.stat().st_size:  # there was not even room for the names of the columns
+            return
         to_parquet(self.stream, self.parquet, change)
         self.stream.unlink()
 

@@ -41,7 +41,7 @@ def general_path() -> Iterator[None]:
 @contextmanager
 def patience(steps: int) -> Iterator[None]:
     """Let floats take over after this number of quiet steps."""
-    with mock.patch.object(quiet, "PATIENCE", steps):
+    with mock.patch.object(quiet, "STEPS_BEFORE", steps):
         yield
 
 
@@ -81,7 +81,7 @@ def test_the_quiet_law_makes_almost_every_step_of_a_run_without_faults() -> None
 
     with mock.patch.object(QuietLaw, "step", counted):
         simulate(topology, layout(topology, 7))
-    assert made == 7 * (30 - 1 - quiet.PATIENCE)
+    assert made == 7 * (30 - 1 - quiet.STEPS_BEFORE)
 
 
 @given(
@@ -109,8 +109,8 @@ def test_any_numbers_give_the_bits_of_the_law_or_are_passed_to_it(
     ours = QuietLaw.of(view, other)
     assert ours is not None
     x, u = np.zeros(1), np.zeros(1)
-    for _ in range(quiet.PATIENCE):
-        ours.after(True, x, u, np.zeros((2, 1)))
+    for _ in range(quiet.STEPS_BEFORE):
+        ours.count_general(True, x, u, np.zeros((2, 1)))
     for one, two, now in zip(values[::3], values[1::3], values[2::3], strict=True):
         answer = ours.step([now], [Link(0, 0, bytes(16), struct.pack("<2d", one, two))], 0)
         if answer is None:
@@ -120,7 +120,7 @@ def test_any_numbers_give_the_bits_of_the_law_or_are_passed_to_it(
             x, u = np.array([now]), law.act(np.array([now]))
         assert np.array(ours.u).tobytes() == u.tobytes()
         assert np.array(ours.report).tobytes() == law.report().tobytes()
-    ours.settle()
+    ours.give_back()
     assert other.memory.tobytes() == law.memory.tobytes()
 
 
@@ -164,7 +164,7 @@ def test_messages_answered_without_numpy_are_those_of_the_general_path(processes
                 shard.receive(back, link)
         nothing = np.zeros((2, len(topology.ids)))
         world.step(np.concatenate(inputs), nothing, [b""] * processes)
-    assert quietly == processes * (30 - 1 - quiet.PATIENCE)
+    assert quietly == processes * (30 - 1 - quiet.STEPS_BEFORE)
 
 
 def test_a_state_of_another_step_or_with_more_in_it_is_left_to_the_general_path() -> None:

@@ -68,7 +68,7 @@ def test_the_quiet_law_makes_almost_every_step_of_a_run_without_faults(law: str)
         expected = simulate(topology, layout(topology, 7))
     with mock.patch.object(QuietLaw, "step", counted):
         assert simulate(topology, layout(topology, 7)).same_bits(expected)
-    assert made == 7 * (30 - 1 - quiet.PATIENCE)
+    assert made == 7 * (30 - 1 - quiet.STEPS_BEFORE)
 
 
 @given(
@@ -98,8 +98,8 @@ def test_any_numbers_give_the_bits_of_the_law_or_are_left_to_it(
     ours = QuietLaw.of(view, other)
     assert ours is not None
     x, u = np.zeros(1), np.zeros(1)
-    for _ in range(quiet.PATIENCE):
-        ours.after(True, x, u, np.zeros((2, 1)))
+    for _ in range(quiet.STEPS_BEFORE):
+        ours.count_general(True, x, u, np.zeros((2, 1)))
     asked = {"forgetting": 0, "notch": 1, "either": 1, "thompson": 2}.get(law.partition("(")[0], 0)
 
     def received(t: int) -> Received:
@@ -117,5 +117,5 @@ def test_any_numbers_give_the_bits_of_the_law_or_are_left_to_it(
         assert np.array(ours.u).tobytes() == u.tobytes()
         assert np.array(ours.report).tobytes() == np.asarray(expected.report()).tobytes()
     with np.errstate(all="ignore"):  # as in every process of a run
-        ours.settle()
+        ours.give_back()
     assert np.asarray(other.memory).tobytes() == np.asarray(expected.memory).tobytes()

@@ -74,7 +74,9 @@ class Changed(Early):
         if self.t == 4 and len(self.graph.node):
             self.faults.add([Effect(90, "drop", (0,), self.t + 1, self.t + 4)])
         if self.t == 7:
-            self.faults.end(0, self.t + 1)
+            # As the control of the plant: a crashed agent returns one step later, because it needs the messages before.
+            returns = any(one.removes_agents for one in self.faults.effects if one.fault == 0)
+            self.faults.end(0, self.t + 1 + returns)
 
 
 class ChangedLate(World):

@@ -1,4 +1,4 @@
-"""The command `orchestrator` in a new process that has loaded its modules already.
+"""The command `orchestrator`, or a separate agent or plant, in a new process that has loaded its modules already.
 
 Loading them takes most of a short command's time. A server loads them once for a session of tests, and forks one
 process per command. Such a process has its own streams, folder, environment and limits, like a process that a shell
@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import functools
 import gc
+import importlib
 import json
 import os
 import resource
@@ -24,7 +26,7 @@ import threading
 import time
 import traceback
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import IO, Any, NoReturn
 
@@ -43,6 +45,7 @@ MODULES = (
     "scipy.linalg",
     "scipy.sparse.csgraph",
     "scipy.stats",
+    "hedgerow.agents.standalone",
     "hedgerow.orchestrator.cli.main",
     "hedgerow.orchestrator.experiments.bounds",
     "hedgerow.orchestrator.experiments.compare",
@@ -60,6 +63,7 @@ MODULES = (
     "hedgerow.orchestrator.report.figures",
     "hedgerow.orchestrator.report.page",
     "hedgerow.orchestrator.runs.export",
+    "hedgerow.plant.standalone",
     "hedgerow.topologies.load",
     "hedgerow.topologies.resolve",
 )
@@ -197,9 +201,13 @@ class Server:
         new_session: bool = False,
         largest: int = resource.RLIM_INFINITY,
         stdout: IO[str] | None = None,
+        module: str = "",
     ) -> Process:
-        """Start a command with these streams in our folder and environment; no file grows past `largest` bytes."""
-        what = {"arguments": [*arguments], "new_session": new_session, "largest": largest}
+        """Start a command with these streams in our folder and environment; no file grows past `largest` bytes.
+
+        With `module`, it is the program that the function `main` of that module is.
+        """
+        what = {"arguments": [*arguments], "new_session": new_session, "largest": largest, "module": module}
         return Process(*ordered(self.address, what, streams), stdout)
 
     def close(self) -> None:
@@ -249,8 +257,6 @@ def ordered(address: str, what: dict[str, Any], streams: Sequence[int]) -> tuple
 
 def serve(address: str) -> NoReturn:
     """Fork a process per order until standard input ends."""
-    import importlib  # noqa: PLC0415
-
     from hedgerow.orchestrator import __main__ as command  # noqa: PLC0415
 
     command._settle_environment()
@@ -307,15 +313,26 @@ def accept(listening: socket.socket, connections: dict[int, socket.socket]) -> N
     connection.sendall(f"{pid}\n".encode())
 
 
-def run_program(file: str, *arguments: str) -> NoReturn:
+def run_program(file: str, *arguments: str) -> None:
     """Run a Python program as `python -W error FILE …` does."""
-    code = 0
     signal.signal(signal.SIGINT, signal.default_int_handler)
     warnings.simplefilter("error")
     sys.argv = [file, *arguments]
     sys.path.insert(0, str(Path(file).parent.absolute()))
+    runpy.run_path(file, run_name="__main__")
+
+
+def run_module(module: str, *arguments: str) -> None:
+    """Run the function `main` of a module as the program that pip installs for it does."""
+    sys.argv = [module, *arguments]
+    importlib.import_module(module).main()
+
+
+def run_to_the_end(program: Callable[[], None]) -> NoReturn:
+    """Run a program, and end this process as the end of Python does."""
+    code = 0
     try:
-        runpy.run_path(file, run_name="__main__")
+        program()
     except SystemExit as ended:
         code = ended.code if isinstance(ended.code, int) else int(ended.code is not None)
     except BaseException:
@@ -350,7 +367,9 @@ def begin(what: dict[str, Any], streams: Sequence[int]) -> NoReturn:
         for number, (name, mode) in enumerate((("stdin", "r"), ("stdout", "w"), ("stderr", "w"))):
             setattr(sys, name, open(number, mode, encoding="utf-8", closefd=False))  # noqa: SIM115
         if what.get("program"):
-            run_program(*what["arguments"])
+            run_to_the_end(functools.partial(run_program, *what["arguments"]))
+        if what.get("module"):
+            run_to_the_end(functools.partial(run_module, what["module"], *what["arguments"]))
         sys.argv = [command.__file__, *what["arguments"]]
         command.BEGAN = time.monotonic()
         command.main()

@@ -125,8 +125,8 @@ class NoBackfill(Shard):
         super().__init__(view)
         self._quiet = None
 
-    def _came(self, c: int, links: Sequence[Link | None], start: int, stop: int) -> LateRows:
-        return super()._came(c, links, start, stop)._replace(stop=start, inputs=np.empty(0))
+    def _received(self, c: int, links: Sequence[Link | None], start: int, stop: int) -> LateRows:
+        return super()._received(c, links, start, stop)._replace(stop=start, inputs=np.empty(0))
 
 
 class BackfillReversed(Shard):

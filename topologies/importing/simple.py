@@ -27,13 +27,14 @@ def simple(found: Found, options: Options) -> Found:
         left = low != high
         edges, low, high = edges[left], low[left], high[left]
         weights = None if weights is None else weights[left]
-    edges, weights, parallel, both = _merged(
+    edges, weights, parallel, both, unlike = _merged(
         len(found.names), edges, low, high, weights, found.directed or options.directed
     )
     if parallel:
         changes.append(f"{_count(parallel, 'parallel edge')} merged: their weights are added")
     if both:
-        changes.append(f"{_count(both, 'edge')} in both directions: each is one edge, of the mean weight")
+        differ = f"; {_count(unlike, 'edge')} of them had two unequal weights" if unlike else ""
+        changes.append(f"{_count(both, 'edge')} in both directions: each is one edge, of the mean weight{differ}")
     if options.max_degree is not None:
         edges, weights, dropped = _of_degree(len(found.names), edges, weights, options.max_degree)
         if dropped:
@@ -63,27 +64,29 @@ def _check_weights(found: Found) -> None:
 
 def _merged(
     n: int, edges: Index, low: Index, high: Index, weights: Array | None, directed: bool
-) -> tuple[Index, Array | None, int, int]:
+) -> tuple[Index, Array | None, int, int, int]:
     """Return each edge once in the order of its first mention, its weight, and the number of merged edges by either
-    rule.
+    rule; last, how many had another weight in each direction.
     """
     if not len(edges):
-        return edges, weights, 0, 0
+        return edges, weights, 0, 0, 0
     key, first, inverse, count = np.unique(low * n + high, return_index=True, return_inverse=True, return_counts=True)
     if len(key) == len(edges):
-        return edges, weights, 0, 0
+        return edges, weights, 0, 0, 0
     total = np.bincount(inverse, np.ones(len(edges)) if weights is None else weights, len(key))
     ways = np.ones(len(key), dtype=np.int64)
+    unlike = 0
     if directed:
-        forward = np.bincount(inverse, edges[:, 0] == low, len(key)) > 0
-        backward = np.bincount(inverse, edges[:, 0] != low, len(key)) > 0
-        ways += forward & backward
+        is_forward, given = edges[:, 0] == low, np.ones(len(edges)) if weights is None else weights
+        forward, backward = (np.bincount(inverse, given * way, len(key)) for way in (is_forward, ~is_forward))
+        ways += (forward > 0) & (backward > 0)
+        unlike = int(((ways == 2) & (forward != backward)).sum())
     mean: Array = total / ways
     order = first.argsort()
     both = int((ways == 2).sum())
     parallel = int((count - ways).sum())
     merged = None if weights is None and (mean == 1).all() else mean[order]
-    return edges[first[order]], merged, parallel, both
+    return edges[first[order]], merged, parallel, both, unlike
 
 
 def _of_degree(n: int, edges: Index, weights: Array | None, most: int) -> tuple[Index, Array | None, int]:

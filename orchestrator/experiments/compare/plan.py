@@ -17,7 +17,8 @@ from hedgerow.topologies.named import Given, Named, given
 from hedgerow.topologies.nodes import Nodes
 from hedgerow.topologies.override import Override
 from hedgerow.topologies.plain import plain
-from hedgerow.topologies.schema import Defaults, Topology
+from hedgerow.topologies.schema import Topology
+from hedgerow.topologies.settings import Defaults
 
 BESIDE = ("hinf", "nominal")
 """laws that every comparison has: the oracle, and the nominal controller"""

@@ -9,7 +9,7 @@ from hedgerow.orchestrator.experiments.sweep.plan import Chunk, Plan
 from hedgerow.orchestrator.experiments.sweep.runs import Answer, answer
 from hedgerow.orchestrator.experiments.sweep.workers import LOOK_EVERY_S
 from hedgerow.orchestrator.launch.ray_cluster import joined
-from hedgerow.topologies.errors import HedgerowError
+from hedgerow.topologies.errors import Code, HedgerowError
 
 
 def over_ray(
@@ -37,5 +37,6 @@ def over_ray(
                 yield from ray.get(ready)
         except ray.exceptions.RayError as error:
             raise HedgerowError(
-                f"--on {address}: {str(error).strip().splitlines()[0]}; the same command continues"
+                f"--on {address}: {str(error).strip().splitlines()[0]}; the same command continues",
+                code=Code.WIRE,
             ) from None

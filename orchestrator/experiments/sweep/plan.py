@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import itertools
 from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass
@@ -18,7 +17,7 @@ from hedgerow.topologies.errors import Code, TopologyError, UserError
 from hedgerow.topologies.named import Given, Named, given
 from hedgerow.topologies.override import split_setting
 from hedgerow.topologies.plain import is_in_script
-from hedgerow.topologies.resolve import resolve, to_yaml
+from hedgerow.topologies.resolve import digest, resolve
 from hedgerow.topologies.schema import Topology
 from hedgerow.topologies.source import read_source
 
@@ -91,7 +90,7 @@ class Plan:
             "set": {key: list(dict.fromkeys(own)) for key, own in zip(self.keys, values, strict=True)},
             "versions": dict(versions()),
             # Drawn with the seed of the file, so that it covers the numbers of CSV files too.
-            "networks": [_digest(to_yaml(resolve(one.topology, self.folder))) for one in self.settings],
+            "networks": [digest(resolve(one.topology, self.folder)) for one in self.settings],
         }
 
     @cached_property
@@ -207,7 +206,3 @@ def typed(values: Sequence[str]) -> list[Any]:
     if all(type(value) in (int, float) for value in read):
         return [float(value) for value in read]
     return list(values)
-
-
-def _digest(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -18,7 +18,7 @@ from typing import Any
 from hedgerow.orchestrator.experiments.worst.hunt import Attack, Hunt
 from hedgerow.orchestrator.metrics.gain_bound import Bound, Method, Premise
 from hedgerow.orchestrator.metrics.gain_learning import Learning, learning
-from hedgerow.orchestrator.metrics.gain_plant import Plant
+from hedgerow.orchestrator.metrics.gain_plant import PlantModel
 from hedgerow.orchestrator.metrics.guarantee import (
     Guarantee,
     fingerprint,
@@ -245,14 +245,14 @@ def guarantee_of(topology: Topology, method: Method | None = None) -> Guarantee:
     return replace(found, learning=counted, not_computed={**found.not_computed, **missing})
 
 
-def at_least(plant: Plant, folder: Path) -> tuple[float, float, str] | None:
+def at_least(plant: PlantModel, folder: Path) -> tuple[float, float, str] | None:
     """Return the largest gain that `worst` found for minimax on a network without faults; None if there is none.
 
     It looks at the results in `folder`. The first number is the gain that longer runs come near, the second is the gain
     of the finished run, and the text is the name of the file.
     """
     found: list[tuple[float, float, str]] = []
-    for state_file in sorted(folder.glob("*.npz")):  # every result lies beside the state of its search
+    for state_file in sorted(folder.glob("*.npz")):  # every result is beside the state of its search
         file = state_file.with_suffix(".json")
         with contextlib.suppress(UserError, OSError, ValueError, KeyError, TypeError):
             result = read_json(file)

@@ -162,10 +162,12 @@ def _flush(stream: rr.RecordingStream, viewer: Viewer) -> None:
         if "timed out" in str(error):
             raise HedgerowError(
                 f"{viewer.url}: has taken nothing for {FLUSH_DEADLINE_S:g} s: the viewer is frozen; close it, and open"
-                " the run again"
+                " the run again",
+                code=Code.VIEWER,
             ) from None
         raise HedgerowError(
-            f"{viewer.url}: the viewer was closed ({error}); the run is untouched: open it again"
+            f"{viewer.url}: the viewer was closed ({error}); the run is untouched: open it again",
+            code=Code.VIEWER,
         ) from None
 
 

@@ -14,7 +14,7 @@ import rerun as rr
 from rerun_bindings import flush_and_cleanup_orphaned_recordings
 
 from hedgerow.orchestrator.ground.spelling import spelled
-from hedgerow.topologies.errors import HedgerowError
+from hedgerow.topologies.errors import Code, UserError
 
 ROOM_BYTES = 2**18
 """the disk has this much room before a part begins"""
@@ -64,7 +64,7 @@ class RrdFile:
         return part_path(self._path, self.number)
 
     def write(self, write: Write) -> None:
-        """Write to the current part, or start another one first; raise HedgerowError if that fails."""
+        """Write to the current part, or start another one first; raise UserError if that fails."""
         if self._part_bytes and self._size() >= self._part_bytes:
             self._finish(timeout_s=5.0)
             self.number += 1
@@ -73,7 +73,7 @@ class RrdFile:
         write(self._stream)
 
     def close(self, deadline_s: float) -> None:
-        """Complete the last part; raise HedgerowError if it is incomplete."""
+        """Complete the last part; raise UserError if it is incomplete."""
         self._finish(max(deadline_s, 1.0))
 
     def _begin(self) -> rr.RecordingStream:
@@ -103,7 +103,8 @@ class RrdFile:
             return self.part.stat().st_size
         return self._part_bytes  # the file was deleted: write further data to the next part
 
-    def _unwritable(self, error: RuntimeError | OSError) -> HedgerowError:
-        return HedgerowError(
-            f"{self.part}: is not complete: {error}; see that the disk has room and the folder can be written"
+    def _unwritable(self, error: RuntimeError | OSError) -> UserError:
+        return UserError(
+            f"{self.part}: is not complete: {error}; see that the disk has room and the folder can be written",
+            code=Code.OUTPUT,
         )

@@ -70,16 +70,31 @@ class Viewer:
             return False
         return True
 
+    def answers(self) -> bool:
+        """Return True if a viewer that we started accepts data now and, if it is a page, browsers too.
+
+        A viewer that the user starts may come at any time: it counts as there.
+        """
+        if self.process is None:
+            return True
+        if not self.listens():
+            return False
+        server = self.process if self.door is None else self.door
+        page = urlsplit(self.link or self.url).port
+        return any(port == page for _, port in listening(server.pid))
+
     def wait_until_it_listens(self, deadline_s: float = START_DEADLINE_S) -> None:
         """Wait until it accepts connections; raise HedgerowError, with a fix, if it never does."""
         by = time.monotonic() + deadline_s
         while not self.listens():
             if self.gone:
                 raise HedgerowError(
-                    "the viewer ended at once: there may be no graphics driver here; --viewer web shows it in a browser"
+                    "the viewer ended at once: there may be no graphics driver here; --viewer web shows it in a"
+                    " browser",
+                    code=Code.VIEWER,
                 )
             if time.monotonic() > by:
-                raise HedgerowError(f"{self.url}: {self.unheard}")
+                raise HedgerowError(f"{self.url}: {self.unheard}", code=Code.VIEWER)
             time.sleep(0.05)
 
     @property

@@ -230,9 +230,11 @@ class PatientStream(RerunStream):
     def check(self) -> None:
         """Raise HedgerowError if the viewer has gone."""
         if self._viewer.gone:
-            raise HedgerowError("the viewer was closed; the run is untouched: the same command opens it again")
+            raise HedgerowError(
+                "the viewer was closed; the run is untouched: the same command opens it again", code=Code.VIEWER
+            )
         if not self._viewer.listens():
-            raise HedgerowError(f"{self._viewer.url}: {self._viewer.unheard}; the run is untouched")
+            raise HedgerowError(f"{self._viewer.url}: {self._viewer.unheard}; the run is untouched", code=Code.VIEWER)
 
 
 def watch(entry: Entry, choice: str, say: Say) -> None:

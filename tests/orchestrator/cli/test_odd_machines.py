@@ -56,6 +56,15 @@ def test_little_address_space_is_no_crash(tmp_path: Path, megabytes: int) -> Non
     assert not list(tmp_path.glob("hedgerow-crash-*"))
 
 
+@pytest.mark.parametrize("kilobytes", [4, 8])
+def test_a_limit_below_the_names_of_the_columns_is_no_crash(tmp_path: Path, kilobytes: int) -> None:
+    """As with `ulimit -f`: no table has a byte, and the run is unknown."""
+    limited = ("bash", "-c", f'ulimit -f {kilobytes} && exec "$@"', "bash", *COMMAND)
+    done = run(tmp_path, (*limited, "simulate", "paper7", "--no-record", "--run-dir", "out"))
+    assert (done.returncode, "Traceback" in done.stderr) == (Exit.UNKNOWN, False), done.stderr
+    assert not list(tmp_path.glob("hedgerow-crash-*"))
+
+
 def test_a_clone_without_metadata_runs(tmp_path: Path) -> None:
     hide = (
         "import importlib.metadata as m\n"

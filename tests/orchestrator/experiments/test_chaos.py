@@ -22,7 +22,8 @@ def test_every_drawn_network_runs_to_its_end_and_equals_the_reference(seeds: ran
     bit.
     """
     messages: list[str] = []
-    finding = hunt(seeds, 12, here, messages.append)
+    most = 12 if seeds.start == 0 else 8  # processes cost most of the time
+    finding = hunt(seeds, most, here, messages.append)
     assert finding is None, messages[-2:]
     assert len(messages) == len(seeds)
 

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-import json
+import contextlib
 import os
 import random
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from hedgerow.orchestrator.testing import Networks
+from hedgerow.orchestrator.experiments.chaos import read, trial
+from hedgerow.orchestrator.launch.fork_client import ForkClient
+from tests.tools.verdicts import verdict_of
 
 T = 8
 BOUNDARIES = (0, 1, T - 2, T - 1, T, T + 3)
@@ -45,9 +49,16 @@ def fault(draw: random.Random, edges: list[list[int]], n: int) -> dict[str, Any]
             return {"kind": kind, "node": node, "steps": window(draw)}
 
 
+@pytest.fixture(scope="module")
+def fork_client() -> Iterator[ForkClient]:
+    """Provide one fork server for all networks: a new one takes longer than a run."""
+    with contextlib.closing(ForkClient()) as fork_client:
+        yield fork_client
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(NETWORKS))
-def test_faults_at_the_boundaries_of_a_run_give_the_reference(network: Networks, seed: int) -> None:
+def test_faults_at_the_boundaries_of_a_run_give_the_reference(seed: int, here: Path, fork_client: ForkClient) -> None:
     draw = random.Random(seed)
     n = draw.randint(2, 5)
     edges = [[draw.randrange(node), node] for node in range(1, n)]
@@ -60,9 +71,9 @@ def test_faults_at_the_boundaries_of_a_run_give_the_reference(network: Networks,
         "edges": edges,
     }
     topology["defaults"] = {"x0": 3.0, "disturbance": {"kind": "white", "std": 0.2}}
-    scenario = network(json.dumps(topology))
-    for _ in range(draw.randint(1, 8)):
-        scenario = scenario.inject(fault(draw, edges, n))
-    over_zenoh = scenario.run(engine="zenoh", processes=draw.randint(1, n))
-    assert over_zenoh == scenario.run(engine="in-process")
-    assert over_zenoh.verdict.verdict != "INVALID", over_zenoh.verdict.line()
+    topology["faults"] = [fault(draw, edges, n) for _ in range(draw.randint(1, 8))]
+    topology["processes"] = draw.randint(1, n)
+    assert trial(read(topology), here / "run", fork_client) == ""
+    verdict = verdict_of(here / "run")
+    assert verdict["verdict"] != "INVALID"
+    assert verdict["checks"]["reference"]["ok"]

@@ -1,4 +1,4 @@
-"""A run whose telemetry arrives twice is valid: a copy of a message is no message of an intruder."""
+"""A run is valid if its telemetry arrives twice: a copy of a message is no message of an intruder."""
 
 from __future__ import annotations
 

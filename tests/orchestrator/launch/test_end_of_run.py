@@ -52,7 +52,7 @@ def test_a_signal_while_the_reference_is_computed_is_no_verdict_on_the_run(
 ) -> None:
     (here / "t").mkdir()
     monkeypatch.setenv("TMPDIR", str(here / "t"))
-    with Orchestrator("up", "paper7", *UP, "--steps", "3000") as network:
+    with Orchestrator("up", "paper7", *UP, "--steps", "3000", "--processes", "1") as network:
         network.wait_until(lambda: any((here / "t").glob("hedgerow-*/reference/telemetry.*")))
         network.send(signal.SIGINT)
         assert network.wait() == 3, network.output

@@ -32,14 +32,15 @@ def test_a_process_with_a_crash_until_the_end_of_the_run(at: int, here: Path) ->
 
 @pytest.mark.parametrize("before", [1, 2])
 def test_a_live_crash_that_ends_with_the_run(before: int, network: Networks) -> None:
-    with network("paper7").up(rate=200, steps=400) as net:
+    with network("paper7").up(rate=50, steps=100) as net:
         net.wait_for_step(5)
         first = net.pause() + 1  # the held step has begun
-        net.fault.crash(node=3, at=400 - before - first, restart_after=before)
+        net.fault.crash(node=3, at=100 - before - first, restart_after=before)
+        net.rate(0)
         net.resume()
         result = net.wait()
     assert result.verdict.verdict == "valid", result.verdict.content["reasons"]
-    assert result.x.shape == (401, 7)
+    assert result.x.shape == (101, 7)
 
 
 def test_a_crash_in_the_fixture_that_ends_with_the_run(network: Networks) -> None:
@@ -71,7 +72,7 @@ def test_a_full_disk_while_the_reference_is_computed(here: Path) -> None:
     (here / "t").mkdir()
     script = 'mount -t tmpfs -o size=200k none "$TMPDIR" && exec "$@"'
     done = subprocess.run(
-        [*inside, "sh", "-c", script, "sh", *COMMAND, "up", "paper7", *UP, "--steps", "3000"],
+        [*inside, "sh", "-c", script, "sh", *COMMAND, "up", "paper7", *UP, "--steps", "3000", "--processes", "1"],
         env=os.environ | {"TMPDIR": str(here / "t"), "XDG_RUNTIME_DIR": str(here)},
         capture_output=True,
         text=True,

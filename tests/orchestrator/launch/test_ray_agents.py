@@ -150,7 +150,7 @@ def test_agents_on_two_machines_of_a_cluster_change_nothing(
     cluster: Cluster, kept_by_ray: Path, environment: None
 ) -> None:
     """The network is secure; the next test has an open one."""
-    arguments = ("paper7", "--processes", "3", "--secure", "--on", "ray://head:10001")
+    arguments = ("paper7", "--processes", "2", "--secure", "--on", "ray://head:10001")
     with Orchestrator("up", *arguments, *UP, inside=cluster.on("bench")) as network:
         assert network.wait() == 0, network.output
         assert network.children.keys() == {"plant"}
@@ -158,7 +158,7 @@ def test_agents_on_two_machines_of_a_cluster_change_nothing(
     assert verdict()["checks"]["reference"]["ok"]
     assert gone({event["process"]: event["pid"] for event in events("placed")})
     assert {event["machine"] for event in events("placed")} == {cluster.address["head"], cluster.address["other"]}
-    for shard in range(3):
+    for shard in range(2):
         log = Path(f"runs/latest/logs/shard-{shard}.log").read_text()
         assert "end: 30 steps answered, 0 messages refused" in log, log
     assert orchestrator("simulate", "paper7", "--run-dir", "local", "--no-record").returncode == 0
@@ -172,7 +172,7 @@ def test_agents_on_two_machines_of_a_cluster_change_nothing(
 @needs_ray
 @pytest.mark.slow
 def test_the_sweep_on_that_cluster_is_the_same_table(cluster: Cluster, environment: None) -> None:
-    command = ("sweep", "paper7", "--seeds", "0:12", "--set", "law=minimax,nominal")
+    command = ("sweep", "paper7", "--seeds", "0:6", "--set", "law=minimax,nominal")
     where = ("--out", "there", "--on", "ray://head:10001", "--jobs", "2")
     on = Orchestrator(*command, *where, inside=cluster.on("bench"))
     with on as sweep:

@@ -122,7 +122,7 @@ def complete(folder: Path) -> dict[str, Any]:
 
 
 def test_a_link_that_loses_a_fifth_of_all_packets_costs_only_time(lab: Lab) -> None:
-    with lab.up("--steps", "100", "--rate", "50", "--deadline", "60") as network:
+    with lab.up("--steps", "50", "--rate", "50", "--deadline", "60") as network:
         network.wait_for("running")
         lab.lose(one_of=5)
         assert network.wait() == 0, network.output

@@ -22,12 +22,12 @@ from hedgerow.wire.ports import free_port
 from hedgerow.wire.refusal import refused
 from hedgerow.wire.session import close, open_client, open_router
 from hedgerow.wire.standalone import wait_for
-from tests.agents.test_standalone import UP, start, verdict
 from tests.orchestrator.launch.test_secure import ROUTER
 from tests.tools.machines import Program
 from tests.tools.processes import DEADLINE_S, Orchestrator, orchestrator, parquet_bytes, run_here
 from tests.tools.refusals import refusal
 from tests.tools.rights import PLACES
+from tests.tools.standalone import UP, start, verdict
 
 __all__ = ["start"]
 
@@ -119,7 +119,7 @@ def test_plant_and_observer_may_see_the_token_of_a_plant(here: Path, port: int, 
             with room(session, "hedgerow/paper7", configs.append, lambda: bool(configs)):
                 assert configs
         start("plant", "--config", "lab/plant").wait_for("another plant already runs at hedgerow/paper7")
-        assert first.process.poll() is None
+        assert first.poll() is None
     finally:
         router.end()
 

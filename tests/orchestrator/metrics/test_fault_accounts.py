@@ -30,7 +30,8 @@ from hedgerow.plant.world import dynamics
 from hedgerow.topologies.effects import Effect
 from hedgerow.topologies.load import load, parse
 from hedgerow.topologies.resolve import resolve, truth
-from hedgerow.topologies.schema import Node, Topology
+from hedgerow.topologies.schema import Topology
+from hedgerow.topologies.settings import Node
 from hedgerow.wire.message import Flag
 from tests.tools.examples import examples
 from tests.tools.networks import Trajectory, networks, observe, read, simulate

@@ -14,17 +14,17 @@ from hypothesis import strategies as st
 import hedgerow as hg
 from hedgerow.orchestrator.metrics import gain_bound
 from hedgerow.orchestrator.metrics.gain_bound import Bound, Method, Premise, bound, method_for
-from hedgerow.orchestrator.metrics.gain_plant import Plant
+from hedgerow.orchestrator.metrics.gain_plant import PlantModel
 from hedgerow.orchestrator.metrics.guarantee import fingerprint, guarantee, plant_of
 from hedgerow.orchestrator.metrics.semidefinite import NoBoundError
 from hedgerow.topologies.graph import Array, Graph
 from hedgerow.topologies.hinf import gamma_star
 from tests.tools.networks import VECTORS, from_vector
 
-EAGER = Plant.of(
+EAGER = PlantModel.of(
     np.array([0.3, 0.3]), 0.1, np.array([[0, 1]]), None, np.array([0.3, 0.3]), np.array([0.979, 0.979])
 )  # fmt: skip
-UNEQUAL = Plant.of(
+UNEQUAL = PlantModel.of(
     np.array([0.6, 0.5, 0.8]),
     np.array([0.1, 0.2, 0.05]),
     np.array([[0, 1], [1, 2]]),
@@ -34,7 +34,7 @@ UNEQUAL = Plant.of(
 )
 
 
-def vector(name: str) -> Plant:
+def vector(name: str) -> PlantModel:
     (path,) = (path for path in VECTORS if path.stem == name)
     return plant_of(from_vector(path)[0].network)
 
@@ -50,7 +50,7 @@ TABLE = [
 
 
 @st.composite
-def plants(draw: st.DrawFn) -> Plant:
+def plants(draw: st.DrawFn) -> PlantModel:
     """Networks with cycles, unequal gains and weights, lists of one or more, and isolated nodes."""
     n = draw(st.integers(1, 6))
     seed = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
@@ -63,11 +63,11 @@ def plants(draw: st.DrawFn) -> Plant:
     a = seed.uniform(lowest, highest)
     room = np.minimum(lowest * (1 - lowest), highest * (1 - highest))
     b = 0.95 * np.sqrt(room / (2 * np.maximum(weighted, 1e-9))).clip(max=1.0)
-    return Plant.of(a, b, edges, weights, lowest, highest)
+    return PlantModel.of(a, b, edges, weights, lowest, highest)
 
 
 @pytest.mark.parametrize(("plant", "estimates", "edges"), TABLE)
-def test_bounds_are_those_of_the_table(plant: Plant, estimates: float, edges: float) -> None:
+def test_bounds_are_those_of_the_table(plant: PlantModel, estimates: float, edges: float) -> None:
     for method in (Method.WHOLE, Method.SPLIT):
         assert bound(plant, Premise.ESTIMATES, method).gain == pytest.approx(estimates, abs=6e-4)
         assert bound(plant, Premise.EDGES, method).gain == pytest.approx(edges, abs=6e-4)
@@ -79,7 +79,7 @@ def test_a_full_storage_bounds_paper7_by_less() -> None:
 
 @settings(max_examples=8, deadline=None)
 @given(plants())
-def test_bounds_are_ordered(plant: Plant) -> None:
+def test_bounds_are_ordered(plant: PlantModel) -> None:
     """A weaker premise, fewer unknowns or smaller matrices never give less; the oracle's gain is below all."""
     near = 1 + 1e-3  # the margin of a proof, where the storage is large
     whole = {premise: _or_inf(plant, premise, Method.WHOLE) for premise in Premise}
@@ -91,14 +91,14 @@ def test_bounds_are_ordered(plant: Plant) -> None:
     assert whole[Premise.ESTIMATES] * near >= _oracle(plant)
 
 
-def _or_inf(plant: Plant, premise: Premise, method: Method) -> float:
+def _or_inf(plant: PlantModel, premise: Premise, method: Method) -> float:
     try:
         return bound(plant, premise, method).gain
     except NoBoundError:
         return math.inf
 
 
-def _oracle(plant: Plant) -> float:
+def _oracle(plant: PlantModel) -> float:
     """Return gamma* from the weighted Laplacian."""
     incidence = np.zeros((plant.n, len(plant.edges)))
     for k, (i, j) in enumerate(plant.edges.tolist()):
@@ -117,7 +117,7 @@ def test_one_candidate_per_node_gives_the_optimal_gain() -> None:
 
 
 def test_the_split_program_is_exact_on_trees_and_costs_little_on_cycles() -> None:
-    triangle = Plant.of(
+    triangle = PlantModel.of(
         np.array([0.3, 0.5, 0.7]), 0.15, np.array([[0, 1], [1, 2], [0, 2]]), None, np.full(3, 0.2), np.full(3, 0.8)
     )  # fmt: skip
     whole, split = (bound(triangle, Premise.EDGES, method).gain for method in (Method.WHOLE, Method.SPLIT))
@@ -128,7 +128,7 @@ def test_the_split_program_is_exact_on_trees_and_costs_little_on_cycles() -> Non
 
 def test_a_ring_of_96_is_bounded_below_17_in_the_split_program() -> None:
     n = 96
-    ring = Plant.of(
+    ring = PlantModel.of(
         np.random.default_rng(0).uniform(0.1, 0.9, n),
         0.1,
         np.array([[i, (i + 1) % n] for i in range(n)]),

@@ -23,7 +23,7 @@ from hedgerow.orchestrator.launch.watching import Watching
 from hedgerow.orchestrator.metrics.checks import Worst
 from hedgerow.orchestrator.metrics.gain_bound import Method, Premise, bound
 from hedgerow.orchestrator.metrics.gain_certificate import GainCertificate
-from hedgerow.orchestrator.metrics.gain_plant import Plant
+from hedgerow.orchestrator.metrics.gain_plant import PlantModel
 from hedgerow.orchestrator.metrics.guarantee import SOLVED, Guarantee, guarantee, plant_of
 from hedgerow.orchestrator.metrics.observer import Observer
 from hedgerow.orchestrator.metrics.verdict import INVALID, VALID, Ending, judge
@@ -152,7 +152,7 @@ def test_a_lost_row_ends_every_premise() -> None:
     assert {track.ended for track in certified(topology, ran).tracks.values()} == {11}
 
 
-def constant_run(plant: Plant, reported: Array, steps: int, scale: float) -> Worst:
+def constant_run(plant: PlantModel, reported: Array, steps: int, scale: float) -> Worst:
     """Return the check of a run under hinf; the plant adds `scale` times the w that it reports, from x(0) = 0."""
     certificate = GainCertificate(plant, np.zeros(plant.n))
     certificate.known = Guarantee(1.0, {Premise.ESTIMATES: bound(plant, Premise.ESTIMATES)})

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 import hedgerow as hg
 from hedgerow.orchestrator.metrics import gain_uniform
 from hedgerow.orchestrator.metrics.gain_bound import Method, Premise, bound, method_for
-from hedgerow.orchestrator.metrics.gain_plant import Plant
+from hedgerow.orchestrator.metrics.gain_plant import PlantModel
 from hedgerow.orchestrator.metrics.gain_uniform import Edges, Nodes, least
 from hedgerow.orchestrator.metrics.guarantee import guarantee, plant_of
 from hedgerow.orchestrator.metrics.semidefinite import NoBoundError
@@ -25,7 +25,7 @@ from tests.tools.examples import examples
 CLOSED = (Premise.EDGES, Premise.JUMPS)
 
 
-def network(kind: str, n: int) -> Plant:
+def network(kind: str, n: int) -> PlantModel:
     """Return a network of n nodes with the lists [0.2, 0.5, 0.8]."""
     shape = {"regular": {"kind": "random_regular", "degree": 3}, "tree": {"kind": "random_tree", "max_degree": 3}}
     graph = {**shape.get(kind, {"kind": kind}), "nodes": n}
@@ -36,7 +36,7 @@ def network(kind: str, n: int) -> Plant:
 
 @pytest.mark.parametrize("premise", CLOSED)
 @pytest.mark.parametrize("plant", [row[0] for row in TABLE])
-def test_it_is_at_most_three_per_cent_above_the_program_with_one_matrix(plant: Plant, premise: Premise) -> None:
+def test_it_is_at_most_three_per_cent_above_the_program_with_one_matrix(plant: PlantModel, premise: Premise) -> None:
     try:
         whole = bound(plant, premise, Method.WHOLE).gain
     except NoBoundError:
@@ -48,7 +48,7 @@ def test_it_is_at_most_three_per_cent_above_the_program_with_one_matrix(plant: P
 
 @settings(max_examples=12, deadline=None)
 @given(plants(), st.sampled_from(CLOSED))
-def test_it_is_never_below_the_program_with_one_matrix(plant: Plant, premise: Premise) -> None:
+def test_it_is_never_below_the_program_with_one_matrix(plant: PlantModel, premise: Premise) -> None:
     try:
         found = bound(plant, premise, Method.UNIFORM).gain
     except NoBoundError:
@@ -68,7 +68,9 @@ def test_eta_is_the_least_of_a_node(
 ) -> None:
     high = min(0.95, low + width)
     one = np.array([low]), np.array([high])
-    plant = Plant(np.array([low + place * (high - low)]), np.ones(1), np.empty((0, 2), dtype=int), np.ones(0), *one)
+    plant = PlantModel(
+        np.array([low + place * (high - low)]), np.ones(1), np.empty((0, 2), dtype=int), np.ones(0), *one
+    )
     nodes = Nodes.of(plant, jumps)
     g = nodes.least_g * more
     found = least(nodes, g, nu)
@@ -86,7 +88,7 @@ def test_eta_is_the_least_of_a_node(
 @settings(max_examples=examples(40), deadline=None)
 @given(plants(), st.integers(0, 2**32 - 1), st.floats(0.9, 1.1), st.booleans())
 def test_edges_are_proved_if_and_only_if_the_eigenvalue_leaves_room(
-    plant: Plant, seed: int, share: float, factored: bool
+    plant: PlantModel, seed: int, share: float, factored: bool
 ) -> None:
     edges = Edges(plant.n, plant.edges, plant.b[plant.edges] * plant.root_weights[:, None])
     eta = np.random.default_rng(seed).uniform(0.1, 10.0, plant.n)
@@ -130,12 +132,12 @@ def test_both_methods_agree_where_one_takes_over(n: int) -> None:
 
 def test_a_node_of_many_edges_and_nodes_without_edges_are_bounded() -> None:
     edges = np.array([[0, j] for j in range(1, 400)])
-    hub = Plant.of(np.full(402, 0.5), 0.005, edges, None, np.full(402, 0.4), np.full(402, 0.6))
+    hub = PlantModel.of(np.full(402, 0.5), 0.005, edges, None, np.full(402, 0.4), np.full(402, 0.6))
     found = guarantee(hub)
     assert not found.not_computed
     assert found.bounds[Premise.EDGES].gain == pytest.approx(bound(hub, Premise.EDGES, Method.UNIFORM).gain)
     for n in (1, 3):
-        alone = Plant.of(
+        alone = PlantModel.of(
             np.full(n, 0.5), 0.1, np.empty((0, 2), dtype=np.int64), None, np.full(n, 0.2), np.full(n, 0.8)
         )  # fmt: skip
         assert bound(alone, Premise.EDGES, Method.UNIFORM).gain == pytest.approx(2.0, rel=1e-3)

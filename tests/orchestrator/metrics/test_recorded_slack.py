@@ -13,7 +13,7 @@ from hedgerow.orchestrator.launch.recording import same_tables
 from hedgerow.orchestrator.launch.simulation import simulate_into
 from hedgerow.orchestrator.launch.watching import Watching
 from hedgerow.orchestrator.metrics.gain_certificate import GainCertificate
-from hedgerow.orchestrator.metrics.gain_plant import Plant
+from hedgerow.orchestrator.metrics.gain_plant import PlantModel
 from hedgerow.orchestrator.metrics.guarantee import guarantee, plant_of
 from hedgerow.orchestrator.metrics.observer import Observer
 from hedgerow.orchestrator.runs.export import export
@@ -96,7 +96,7 @@ def test_a_run_without_bounds_has_the_same_tables(tmp_path: Path, monkeypatch: p
     """A solver that ran out of time is no difference between a run and its reference."""
     one = recorded(tmp_path / "one")
 
-    def slow(_: Plant, __: float) -> None:
+    def slow(_: PlantModel, __: float) -> None:
         raise OSError("out of time")
 
     monkeypatch.setattr("hedgerow.orchestrator.launch.recording.certified", slow)

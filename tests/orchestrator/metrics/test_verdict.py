@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from hedgerow.agents.law import Array, Minimax, control
 from hedgerow.orchestrator.ground.assignment import layout, truth_of, views_of
 from hedgerow.orchestrator.metrics.observer import Batch, Observer
-from hedgerow.orchestrator.metrics.verdict import Comparison, Ending, Verdict, judge
+from hedgerow.orchestrator.metrics.verdict import Comparison, Ending, Verdict, judge, law_limit
 from hedgerow.orchestrator.runs.reference import run
 from hedgerow.plant.world import dynamics
 from hedgerow.topologies.load import bundled, load
@@ -269,6 +269,24 @@ def test_without_a_disturbance_there_is_no_gain() -> None:
 def test_gains_are_reported_with_their_references(x0: float, faults: str, shown: str) -> None:
     topology = resolve(load("paper7", [f"defaults.x0={x0}", f"faults=[{faults}]"]))
     assert shown in verdict(simulate(topology), topology).line()
+
+
+@pytest.mark.parametrize(
+    ("gains", "limit"),
+    [
+        ({"estimates": (3.6541, True), "edges": (3.7551, True), "jumps": (47.4, True)}, "estimates"),
+        ({"estimates": (3.6541, False), "edges": (3.7551, True), "jumps": (47.4, True)}, "edges"),
+        ({"estimates": (3.6541, False), "edges": (3.7551, False), "jumps": (47.4, True)}, "jumps"),
+        ({"estimates": (19.58502, True), "edges": (19.58501, True)}, "estimates"),
+        ({"estimates": (3.6541, False)}, None),
+    ],
+)
+def test_the_limit_of_the_law_is_named_with_a_premise_that_held(
+    gains: dict[str, tuple[float, bool]], limit: str | None
+) -> None:
+    bounds = {name: {"gain": gain, "held": held} for name, (gain, held) in gains.items()}
+    found = law_limit({"gain_bounds": {"bounds": bounds}})
+    assert found == (None if limit is None else (limit, gains[limit][0]))
 
 
 def in_batches(topology: Topology, ran: Trajectory, cuts: Sequence[int]) -> tuple[Observer, Batch]:

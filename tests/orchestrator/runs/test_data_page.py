@@ -19,7 +19,7 @@ from hedgerow.orchestrator.runs.export import NAMES, arrays, export
 from hedgerow.orchestrator.runs.reader import load_run
 from hedgerow.orchestrator.runs.recorded import RecordedRows
 from hedgerow.orchestrator.runs.run import Run
-from tests.test_docs import ROOT, blocks, table
+from tests.tools.documents import ROOT, blocks, table
 from tests.tools.recorded import same
 
 

@@ -13,9 +13,9 @@ from hedgerow import simulate
 from hedgerow.orchestrator.runs.run import Run
 from hedgerow.topologies.errors import Code
 from hedgerow.topologies.schema import Topology
-from tests.test_docs import ROOT
 from tests.test_faults import faulty
 from tests.tools import networks
+from tests.tools.documents import ROOT
 from tests.tools.networks import observe
 from tests.tools.recorded import assert_as_live, ran, same
 from tests.tools.refusals import refusal

@@ -123,7 +123,7 @@ def test_a_change_after_the_run_is_found(what: str, whole: Path, tmp_path: Path)
 @pytest.mark.parametrize("law", ["minimax", "rls", "thompson", "set-membership"])
 @pytest.mark.parametrize("candidates", ["[0.5]", "[0.4, 0.5]"])
 def test_an_unchanged_folder_has_no_difference(law: str, candidates: str, here: Path) -> None:
-    """Also with one candidate, whose margin is infinite: the table has null for it."""
+    """Also with one candidate: its margin is infinite, and the table has null for it."""
     network = {"nodes": [1, 2, 3], "edges": [[1, 2], [2, 3]], "defaults": {"candidates": json.loads(candidates)}}
     (here / "three.yaml").write_text(json.dumps({"name": "three", "b": 0.1, "steps": 20, "seed": 1, **network}))
     assert recorded("three.yaml", f"law={law}").first_difference() is None

@@ -12,7 +12,7 @@ import pytest
 
 from hedgerow.orchestrator import testing
 from hedgerow.orchestrator.launch.fault_verbs import FaultVerbs
-from tests.test_docs import ROOT, Scratch, blocks, commands, same_output, table
+from tests.tools.documents import ROOT, Scratch, blocks, commands, same_output, table
 
 PAGE = ROOT / "docs" / "testing.md"
 

@@ -154,6 +154,6 @@ def test_a_viewer_that_is_not_there_is_named_with_its_cure() -> None:
     assert f"copy {folder / 'run.rrd'}" in nobody.stderr
     port = free_port()
     url = f"rerun+http://127.0.0.1:{port}/proxy"
-    with refusal(Code.UNKNOWN, url) as refused:
+    with refusal(Code.VIEWER, url) as refused:
         Viewer(url).wait_until_it_listens(0.1)
     assert f"`rerun --port {port}" in str(refused.value), "the fix is a command"

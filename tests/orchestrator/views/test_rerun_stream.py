@@ -224,7 +224,7 @@ def test_events_stand_at_their_steps(tmp_path: Path) -> None:
 
 def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     observer = Observer(paper7())
-    with refusal(Code.UNKNOWN, str(tmp_path / "missing/run.rrd")):
+    with refusal(Code.OUTPUT, str(tmp_path / "missing/run.rrd")):
         RerunStream(observer.topology, observer, "story", tmp_path / "missing" / "run.rrd", None)
 
 

@@ -130,5 +130,5 @@ def test_a_deleted_part_causes_no_error(tmp_path: Path) -> None:
 
 
 def test_a_part_that_cannot_be_written_is_named(tmp_path: Path) -> None:
-    with refusal(Code.UNKNOWN, str(tmp_path / "missing/run.rrd")):
+    with refusal(Code.OUTPUT, str(tmp_path / "missing/run.rrd")):
         RrdFile(tmp_path / "missing" / "run.rrd", streams)
