@@ -257,7 +257,7 @@ class Agent:
             if self._closed:
                 return
             try:
-                if self._answers_quietly(message):
+                if self._answers_in_floats(message):
                     return
                 kind = kind_of(message)
                 if kind == Kind.PLACE and self._memory is not None:
@@ -279,14 +279,18 @@ class Agent:
             except Exception as error:
                 self._fail(error)
 
-    def _answers_quietly(self, message: bytes) -> bool:
-        """Answer a state and return True; False, with nothing changed, if its step is not quiet."""
-        if (answer := self.shard.answer_quietly(message)) is None:
-            return False
+    def _answers_in_floats(self, message: bytes) -> bool:
+        """Answer a state and return True; False, with nothing changed, if its step needs the general path."""
         out = []
-        for senders, sent in zip(self._quiet_senders, answer, strict=False):
-            for sender in senders:
-                out.append((sender, sent))
+        if (answer := self.shard.answer_quietly(message)) is not None:
+            for senders, sent in zip(self._quiet_senders, answer, strict=False):
+                for sender in senders:
+                    out.append((sender, sent))
+        elif (gaps := self.shard.answer_with_gaps(message)) is not None:
+            out = [(self._links[p], link) for peers, link in gaps[0] for p in peers]
+            out.append((self._input, gaps[1]))
+        else:
+            return False
         self._sent.append(out)
         if self._unsent:
             self._send_later(functools.partial(_put_all, out))

@@ -23,7 +23,7 @@ from hedgerow.agents.quiet_rule import Rule, Sample
 from hedgerow.agents.samples import Samples
 from hedgerow.agents.view import View
 from hedgerow.agents.waiting import MOST_WAITING, Row, Waiting
-from hedgerow.wire.codec import Form, decode_link
+from hedgerow.wire.codec import Form, decode_link, decode_spans
 from hedgerow.wire.message import REPORT_ROWS, Flag, Kind, Link, Span
 
 FEW_NODES = 8
@@ -281,6 +281,20 @@ class QuietForms:
             return None
         code, step, *states = form.unpack(message)
         return states if code == form.code and step == t else None
+
+    def state(self, message: bytes, t: int, m: int) -> tuple[Sequence[float], bytes, Sequence[Span]] | None:
+        """Return the states, flags and spans in a message if it is the state message of t, with m flags or none.
+
+        Return None if it is not.
+        """
+        form, stop = self._state, self._state.size + m
+        if len(message) not in (form.size, stop) and len(message) < stop:
+            return None
+        spans = decode_spans(message, stop, m) if len(message) > stop else []
+        if spans is None:
+            return None
+        code, step, *states = form.unpack_from(message)
+        return (states, message[form.size : stop], spans) if code == form.code and step == t else None
 
     def pack(self, t: int, x: Sequence[float], u: Sequence[float], report: Sequence[float]) -> list[bytes]:
         """Return the link messages of step t, and behind them the input message."""

@@ -23,7 +23,7 @@ from hedgerow.agents.view import View
 from hedgerow.topologies.graph import Index, all_finite
 from hedgerow.wire import crash
 from hedgerow.wire.codec import encode_input, encode_link, gather, link_step, pack_link
-from hedgerow.wire.message import ALL_UP, LATE, MOST_LATE, REPORT_ROWS, TAKEN, Flag, Link, Mask, Record, State
+from hedgerow.wire.message import ALL_UP, LATE, MOST_LATE, REPORT_ROWS, TAKEN, Flag, Link, Mask, Record, Span, State
 
 _TAKEN_OF = bytes(flags & TAKEN for flags in range(256))
 _SILENCE = struct.pack("<d", math.nan)
@@ -158,6 +158,19 @@ class Shard:
             return None
         return self._forms.pack(self.t, x, quiet.u, quiet.report)
 
+    def answer_with_gaps(self, message: bytes) -> tuple[list[tuple[Sequence[int], bytes]], bytes] | None:
+        """Return the answer to a state message, as `messages` does, if floats can make its step.
+
+        Return None, with nothing changed, if they cannot: then decode the message and call `answer`.
+        """
+        quiet = self._quiet
+        if quiet is None or not quiet.has_memory or (state := self._forms.state(message, self.t + 1, self.m)) is None:
+            return None
+        x, flags, spans = state
+        if not (flags or quiet.has_waiting) or not self._step_with_gaps(x, flags, spans, quiet):
+            return None
+        return self._packed(flags, spans, quiet) or self.messages(State(self.t, self.x, flags, spans))
+
     def _step_quietly(self, x: Sequence[float], quiet: QuietLaw) -> bool:
         """Make the next step without numpy and return True; False, with nothing changed, if the step is not quiet."""
         past = self.t
@@ -174,13 +187,18 @@ class Shard:
 
     def _step_in_floats(self, state: State, quiet: QuietLaw) -> bool:
         """Make the next step without numpy and return True; False, with nothing changed, if floats cannot make it."""
-        past, x = self.t, state.x.tolist()
+        x: list[float] = state.x.tolist()
         if not (state.flags or state.spans or quiet.has_waiting):
             return self._step_quietly(x, quiet)
+        return self._step_with_gaps(x, state.flags, state.spans, quiet)
+
+    def _step_with_gaps(self, x: Sequence[float], flags: bytes, spans: Sequence[Span], quiet: QuietLaw) -> bool:
+        """Make the next step in floats and return True; False, with nothing changed, if they cannot make it."""
+        past = self.t
         if self._record is not None:
             return False
         links = [peer.mail.get(past) for peer in self.peers]
-        if (taken := quiet.step_with_gaps(x, links, past, state.flags or self._up, state.spans)) is None:
+        if (taken := quiet.step_with_gaps(x, links, past, flags or self._up, spans)) is None:
             return False
         for peer in self.peers:
             peer.mail.pop(past, None)
@@ -362,32 +380,39 @@ class Shard:
             if not (state.flags or state.spans):
                 *packed, own = self._forms.pack(self.t, quiet.x, quiet.u, quiet.report)
                 return [(peers, one) for (_, peers), one in zip(self.audience, packed, strict=True)], own + self.used
-            due = self._rows_due(state)
-            if all(quiet.has_rows(self.t, first) for _, first, _ in due):
-                links: list[tuple[Sequence[int], bytes]] = []
-                for p, first, last in due:
-                    x, u = quiet.rows(self.t, first, last, p)
-                    links.append(([p], pack_link(self.t, first, self.peers[p].sends, x, u)))
-                return links, self._forms.input(self.t, quiet.u, quiet.report) + self.used
-        links = [(peers, encode_link(link, self.peers[peers[0]].sends)) for peers, link in self.send(state)]
+            if (packed_rows := self._packed(state.flags, state.spans, quiet)) is not None:
+                return packed_rows
+        links: list[tuple[Sequence[int], bytes]] = [
+            (peers, encode_link(link, self.peers[peers[0]].sends)) for peers, link in self.send(state)
+        ]
         return links, encode_input(self.t, self.u, self.report, self.used)
+
+    def _packed(
+        self, flags: bytes, spans: Sequence[Span], quiet: QuietLaw
+    ) -> tuple[list[tuple[Sequence[int], bytes]], bytes] | None:
+        """Return the result of `messages` from floats; None if a row is due that only the history stores."""
+        t, links = self.t, list[tuple[Sequence[int], bytes]]()
+        for p, first, last in self._rows_due(flags, spans):
+            if not quiet.has_rows(t, first):
+                return None
+            links.append(([p], pack_link(t, first, self.peers[p].sends, *quiet.rows(t, first, last, p))))
+        return links, self._forms.input(t, quiet.u, quiet.report) + self.used
 
     def send(self, state: State) -> list[tuple[Sequence[int], Link]]:
         """Return the link messages of the step just answered, each with its receiving peers."""
         if not state.flags and not state.spans:
             return self._send_now()
-        return [([p], self._rows(self.peers[p], first, last)) for p, first, last in self._rows_due(state)]
+        return [
+            ([p], self._rows(self.peers[p], first, last)) for p, first, last in self._rows_due(state.flags, state.spans)
+        ]
 
-    def _rows_due(self, state: State) -> list[tuple[int, int, int]]:
+    def _rows_due(self, flags: bytes, spans: Sequence[Span]) -> list[tuple[int, int, int]]:
         """Return the peers that receive a link message of the last step, each with the steps of its rows."""
-        t, flags = self.t, state.flags or self._up
-        if not state.spans:
-            return [(p, t, t) for p, peer in enumerate(self.peers) if any(flags[c] & _SEND for c in peer.incidences)]
-        spans = {c: (t - late - count, t - late) for c, _, _, late, count in state.spans}
-        due = []
+        t, flags, due = self.t, flags or self._up, list[tuple[int, int, int]]()
+        steps = {c: (t - late - count, t - late) for c, _, _, late, count in spans}
         for p, peer in enumerate(self.peers):
-            if steps := [spans.get(c, (t, t)) for c in peer.incidences if flags[c] & _SEND]:
-                due.append((p, min(first for first, _ in steps), max(last for _, last in steps)))
+            if up := [steps.get(c, (t, t)) for c in peer.incidences if flags[c] & _SEND]:
+                due.append((p, min(up)[0], max(last for _, last in up)))
         return due
 
     def _send_now(self) -> list[tuple[Sequence[int], Link]]:

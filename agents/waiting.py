@@ -80,7 +80,7 @@ class Waiting:
         """
         if self.most >= MOST_WAITING:
             return None
-        received = {span.incidence: (span.received_late, span.received_back) for span in spans}
+        received = {c: (late, back) for c, late, back, _, _ in spans}
         taken_apart: dict[int, tuple[int, Sequence[float]]] = {}
         found = []
         for c, (bits, missing, (peer, place, _)) in enumerate(zip(flags, self.missing, self._senders, strict=True)):
@@ -126,6 +126,8 @@ class Waiting:
 
     def samples_with(self, missing: Sequence[int]) -> list[int]:
         """Return the number of samples that wait, by node, if these numbers of rows are missing."""
+        if self._k == 1:
+            return [max(missing, default=0)]
         samples = [0] * self._k
         for node, count in zip(self._node, missing, strict=True):
             samples[node] = max(samples[node], count)

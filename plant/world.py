@@ -27,6 +27,9 @@ from hedgerow.wire.codec import join, pack_flags
 from hedgerow.wire.history import History
 from hedgerow.wire.message import ALL_UP, TAKEN, Buffer, Flag, Flags, Record, Span, State, Telemetry
 
+FEW_LINKS = 64
+"""up to this number, Python goes through all links faster than numpy finds those with spans"""
+
 
 def dynamics(a: Array, b: Gain, graph: Graph, x: Array, u: Array, w: Array, edge_open: Mask | None = None) -> Array:
     """Return x(t+1) from x(t), u(t), w(t) and the edges open at t (None: all); equation (1)."""
@@ -273,12 +276,15 @@ class World:
         """Return, by shard, the spans of the incidences that deliver other rows than that of the step alone."""
         reverse, whole = self.graph.reverse, self.links.whole
         received, sent = received or whole, sent or whole
-        numbers = np.array([received.late, received.back, sent.late.take(reverse), sent.back.take(reverse)])
-        found = np.flatnonzero(numbers.any(axis=0))
-        columns = (self._home.take(found), self._local.take(found), *numbers.take(found, axis=1))
+        columns = [received.late, received.back, sent.late.take(reverse), sent.back.take(reverse)]
+        places = [self._home, self._local]
+        if len(reverse) > FEW_LINKS:
+            found = np.flatnonzero(np.any(columns, axis=0))
+            columns, places = ([one.take(found) for one in some] for some in (columns, places))
         spans: dict[int, list[Span]] = {}
-        for p, *span in zip(*(column.tolist() for column in columns), strict=True):
-            spans.setdefault(p, []).append(Span(*span))
+        for p, c, *numbers in zip(*(column.tolist() for column in (*places, *columns)), strict=True):
+            if any(numbers):
+                spans.setdefault(p, []).append(Span(c, *numbers))
         return spans
 
     def _record_of(self, part: _Part) -> Record | None:

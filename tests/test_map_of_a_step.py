@@ -69,7 +69,7 @@ def steps_of(calls: Sequence[str], first: str) -> list[list[str]]:
 def answers(agent: Sequence[str]) -> list[list[str]]:
     """The calls of an agent by step, each once; a state that the plant repeated has no calls of a step."""
     made = [list(dict.fromkeys(step)) for step in steps_of(agent, QUIET["3"])]
-    return [step for step in made if GENERAL["5a"] in step or QUIET["5"] in step]
+    return [step for step in made if {GENERAL["5a"], QUIET["5"], GAPS} & {*step}]
 
 
 def general(step: Sequence[str]) -> list[str]:
@@ -107,7 +107,9 @@ def test_a_missing_message_is_learned_in_floats(tmp_path: Path, kind: str) -> No
     gaps = [step for agent in agents for step in answers(agent)[SETTLED:] if GAPS in step]
     assert gaps
     way = [GENERAL[hop] for hop in ("4a", "4b", "5a", "5d")]
-    assert all(general(step) == [*way[:3], GAPS, way[3]] for step in gaps)
+    ways = [[name for name in general(step) if name != GAPS] for step in gaps]
+    assert all(one in ([], way) for one in ways)
+    assert [] in ways
 
 
 def test_another_law_learns_a_missing_message_in_numpy(tmp_path: Path) -> None:

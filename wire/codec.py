@@ -79,6 +79,7 @@ class Form:
         self.code = _code(kind, n)
         self._struct = struct.Struct(f"{_SHORT_LINK.format if kind == Kind.LINK else _SHORT.format}{numbers}d")
         self.size, self.pack, self.unpack = self._struct.size, self._struct.pack, self._struct.unpack
+        self.unpack_from = self._struct.unpack_from
 
 
 def header(kind: int, n: int, t: int) -> bytes:
@@ -189,6 +190,18 @@ def decode_state(message: bytes, k: int, m: int) -> State:
     if any(span.incidence >= m for span in spans):
         raise MessageError(f"a span of incidence {max(span.incidence for span in spans)}, and there are {m}")
     return State(t, x, flags, spans)
+
+
+def decode_spans(message: bytes, start: int, m: int) -> list[Span] | None:
+    """Return the spans of a State message of m incidences, from byte `start` on; None if they are malformed."""
+    if (len(message) - start) % _SPAN.size:
+        return None
+    spans = []
+    for numbers in _SPAN.iter_unpack(message[start:]):
+        if numbers[0] >= m:
+            return None
+        spans.append(_new(Span, numbers))
+    return spans
 
 
 def encode_record(record: Record) -> bytes:

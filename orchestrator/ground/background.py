@@ -70,7 +70,8 @@ class BackgroundThread:
         if sys.platform == "linux":  # on other systems, all threads of a process have one priority
             with contextlib.suppress(OSError):  # a container may forbid it
                 os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
-                os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICE)
+                me = threading.get_native_id()
+                os.setpriority(os.PRIO_PROCESS, me, os.getpriority(os.PRIO_PROCESS, me) + NICE)
         while (taken := self._jobs.take()) is not None:
             if self._over:
                 continue

@@ -44,6 +44,7 @@ from hedgerow.wire import crash, start
 from hedgerow.wire.child import ERROR_PREFIX, open_log
 from hedgerow.wire.codec import decode_state, encode_state, pack_link
 from hedgerow.wire.limits import limit_reached
+from hedgerow.wire.message import ALL_UP, Flag, Span
 from hedgerow.wire.runtime import let_numbers_overflow, share_the_cores
 from hedgerow.wire.session import remove_trace
 
@@ -61,8 +62,10 @@ PROGRAMS = {
 }
 
 
-WARM_ROUNDS, WARM_STEPS = 8, 8
+WARM_ROUNDS, WARM_STEPS, WARM_GAPS = 8, 8, 4
 """Starts of an agent before the first fork, and its steps: the general path makes the first ones, floats the last ones.
+
+In the last `WARM_GAPS` steps, link messages are lost or arrive late.
 
 Python rewrites a function that has been called a few times. In a child, that would copy its memory.
 """
@@ -154,6 +157,12 @@ def _warm_up() -> None:
             state = decode_state(message, 1, 1)
             shard.step(state)
             shard.messages(state)
+    for t in range(WARM_STEPS, WARM_STEPS + WARM_GAPS):  # a link message is lost, and the next one brings its row too
+        back = t % 2
+        if back:
+            shard.receive_message(0, pack_link(t - 1, t - 2, 1, [1.0, 1.0], [1.0, 1.0]))
+        flags, spans = (ALL_UP, [Span(0, 0, 1, 0, 1)]) if back else (ALL_UP - Flag.RECEIVE, [])
+        shard.answer_with_gaps(encode_state(t, np.ones(1), bytes([flags]), spans))
 
 
 def _fail(request: dict[str, Any], error: OSError) -> None:

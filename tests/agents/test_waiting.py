@@ -19,6 +19,7 @@ from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire.codec import decode_state, encode_state
+from hedgerow.wire.message import ALL_UP, Span
 from tests.agents.test_quiet import check_same_bits, general_path
 from tests.tools.networks import networks, partitions, simulate
 from tests.tools.schedules import with_faults
@@ -126,3 +127,52 @@ def test_messages_of_steps_with_gaps_are_those_of_the_general_path(processes: in
         report = np.concatenate([one.report for one in ours], axis=1)
         world.step(np.concatenate([one.u for one in ours]), report, [one.used for one in ours])
     assert in_floats > 30 * processes
+
+
+@pytest.mark.parametrize("processes", [3, 7])
+def test_answers_with_gaps_are_those_of_the_general_path(processes: int) -> None:
+    """The bytes of a state message give the bytes of the answer, whichever way makes it."""
+    topology = dropping("{kind: delay, link: [2, 3], by: 2, steps: [20, 40]}")
+    assignment = layout(topology, processes)
+    views, world = views_of(topology, assignment), World(truth_of(topology, assignment))
+    with general_path():
+        others = [Shard(view) for view in views]
+    ours, at_once = [Shard(view) for view in views], 0
+    for _ in range(60):
+        world.begin()
+        sent = []
+        for view, one, other, (state, _) in zip(views, ours, others, world.states(), strict=True):
+            assert state is not None
+            message = encode_state(*state)
+            own = decode_state(message, one.k, one.m)
+            if (answer := one.answer_with_gaps(message)) is None:
+                one.step(own)
+                answer = one.messages(own)
+            else:
+                at_once += 1
+            other.step(own)
+            assert answer == other.messages(own)
+            assert one.answer_with_gaps(message) is None, "the same state again"
+            sent += [(view, peer, link) for peers, link in answer[0] for peer in peers]
+        for view, peer, link in sent:
+            receiver = view.peers[peer].shard
+            back = [other.shard for other in views[receiver].peers].index(view.shard)
+            for shards in (ours, others):
+                shards[receiver].receive_message(back, link)
+        report = np.concatenate([one.report for one in others], axis=1)
+        world.step(np.concatenate([one.u for one in others]), report, [one.used for one in others])
+    assert at_once > 30 * processes
+
+
+def test_malformed_states_are_left_to_the_general_path() -> None:
+    topology = dropping()
+    shard = Shard(views_of(topology, layout(topology, 7))[3])
+    form, m = shard._forms, shard.m
+    flags, spans = bytes([ALL_UP] * m), [Span(0, 0, 1, 0, 1)]
+    good = encode_state(5, np.ones(1), flags, spans)
+    assert form.state(good, 5, m) == ([1.0], flags, spans)
+    assert form.state(encode_state(5, np.ones(1), b""), 5, m) == ([1.0], b"", [])
+    for bad in (b"", good[:20], good[:-1], good + b"0", good[:-21], encode_state(5, np.ones(2), flags)):
+        assert form.state(bad, 5, m) is None
+    assert form.state(good, 6, m) is None
+    assert form.state(encode_state(5, np.ones(1), flags, [Span(m, 0, 1, 0, 1)]), 5, m) is None

@@ -1,10 +1,13 @@
 """A job of a background thread that fails or never returns does not block its caller."""
 
+import os
+import queue
+import sys
 import threading
 
 import pytest
 
-from hedgerow.orchestrator.ground.background import WAITING, BackgroundThread
+from hedgerow.orchestrator.ground.background import NICE, WAITING, BackgroundThread
 from hedgerow.topologies.errors import DeadlineError
 
 
@@ -56,3 +59,14 @@ def test_a_slow_job_is_waited_for() -> None:
     thread.do(job)
     thread.close()
     assert (failures, done) == ([], [1])
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="one priority per process")
+def test_a_background_thread_has_a_lower_priority_than_its_process() -> None:
+    """The priority is relative: a run that itself has a low or a high priority keeps the distance."""
+    nice = queue.SimpleQueue[int]()
+    thread = BackgroundThread("test", nice.put)  # type: ignore[arg-type]  # no error is expected
+    thread.do(lambda: nice.put(os.getpriority(os.PRIO_PROCESS, threading.get_native_id())))
+    thread.close()
+    ours = os.getpriority(os.PRIO_PROCESS, threading.get_native_id())
+    assert nice.get(timeout=5.0) == min(ours + NICE, 19)
