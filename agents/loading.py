@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from hedgerow.agents import hard_exit
 from hedgerow.agents.law import Array, Law
 from hedgerow.agents.law_lines import line_of, place_in_module, place_of
 from hedgerow.agents.laws import LAWS, law_of_name
@@ -38,6 +39,7 @@ def law_class(name: str) -> type[Law]:
     """Return the class of a law of the project, or of `package.module:Class`, also in the working directory."""
     if name in LAWS:
         return law_of_name(name)
+    hard_exit.guard()
     module, _, attribute = name.partition(":")
     if (here := str(Path.cwd())) not in sys.path:
         sys.path.append(here)

@@ -42,7 +42,7 @@ from hedgerow.wire.codec import (
     kind_of,
 )
 from hedgerow.wire.credentials import Credentials
-from hedgerow.wire.message import REPORT_ROWS, Kind, MessageError, State
+from hedgerow.wire.message import Kind, MessageError, State
 from hedgerow.wire.runtime import LONG_BYTES, keep_memory, one_network_thread
 from hedgerow.wire.session import (
     CONNECT_TIMEOUT_S,
@@ -54,6 +54,7 @@ from hedgerow.wire.session import (
     open_client,
     wait_for_listeners,
 )
+from hedgerow.wire.shared_steps import PLANT, open_steps, worth_sharing
 
 LOG = logging.getLogger("agent")
 NO_STEP = 2**62
@@ -98,8 +99,15 @@ class Agent:
     """One shard's process, from the first state message to the end."""
 
     def __init__(
-        self, view: View, namespace: str, endpoint: str, begin: Begin, credentials: Credentials | Path | None = None
+        self,
+        view: View,
+        namespace: str,
+        endpoint: str,
+        begin: Begin,
+        credentials: Credentials | Path | None = None,
+        memory: tuple[str, int] | None = None,
     ) -> None:
+        """Take a place in the run; `memory` is the path of memory that the plant shares, and the life of the shard."""
         need_source(view.law, view.law_source)
         self._view, self.shard = view, Shard(view)
         self.peers = [peer.shard for peer in view.peers]
@@ -117,9 +125,12 @@ class Agent:
         """sends queued for the main thread"""
         self._unsent = 0
         """number of queued sends not done yet"""
-        if 8 * (1 + REPORT_ROWS) * self.shard.k + self.shard.m > LONG_BYTES:
+        k, m = self.shard.k, self.shard.m
+        self._memory = None if memory is None else open_steps(memory[0], k, m, memory[1] + 1)
+        """memory for states and inputs; None if they travel in messages"""
+        if worth_sharing(k, m):
             keep_memory()
-        else:
+        if self._memory is not None or not worth_sharing(k, m):
             one_network_thread()
         self._ended = threading.Event()
         self._failure: Exception | None = None
@@ -249,6 +260,9 @@ class Agent:
                 if self._answers_quietly(message):
                     return
                 kind = kind_of(message)
+                if kind == Kind.PLACE and self._memory is not None:
+                    message = self._memory.copy(message)
+                    kind = kind_of(message)
                 if kind == Kind.END:
                     decode_end(message, 0)
                     if self._over:
@@ -331,6 +345,8 @@ class Agent:
         self._answering = None
         links, own = shard.messages(state)
         out = [(self._links[p], message) for peers, message in links for p in peers]
+        if self._memory is not None and self._memory.has(PLANT):
+            own = self._memory.write(state.t, own)
         out.append((self._input, own))
         self._sent.append(out)
         if self._unsent or sum(len(message) for _, message in out) > LONG_BYTES:
@@ -352,6 +368,7 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("--connect", required=True, help="the router, a Zenoh endpoint")
     parser.add_argument("--life", type=int, default=0, help="how often this shard was started before")
     parser.add_argument("--credentials", type=user_path, help="the folder with its certificate")
+    parser.add_argument("--memory", help="memory that it shares with the plant")
     parser.add_argument("--law-path", type=user_path, help="a folder to import the law from, before all others")
     return parser
 
@@ -363,7 +380,9 @@ def run(known: argparse.Namespace) -> NoReturn:
         if known.law_path is not None:
             sys.path.insert(0, str(known.law_path))
         view = View.read(known.view)
-        Agent(view, known.namespace, known.connect, Begin(lambda _: Joined(known.life)), known.credentials).live()
+        memory = (known.memory, known.life) if known.memory else None
+        begin = Begin(lambda _: Joined(known.life))
+        Agent(view, known.namespace, known.connect, begin, known.credentials, memory).live()
 
     run_child(body)
 

@@ -5,7 +5,10 @@ with each revision, and the order alternates from round to round. Rounds continu
 compares the two runs of one round, so load that lasts longer than a round cancels. The table has the geometric mean of
 the ratios B / A and its 95 % interval (Student's t on the logarithms).
 
-The exit code is 1 if the whole interval of a case is below `--least`: revision B lost speed.
+The exit code is 1 if the whole interval of a case is below `--least`: revision B lost speed. The result of a case is
+unclear if only a part of its interval is below.
+
+CPU time is that of a command with all its processes, with their start. On a busy machine, its ratio varies less.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ import json
 import math
 import os
 import platform
+import resource
 import statistics
 import subprocess
 import sys
@@ -116,13 +120,20 @@ def run_once(case: Case, checkout: Path) -> Mapping[str, float]:
         command = [*COMMAND, *case.arguments, option, f"{folder}/run"]
         # The checkout comes before the installed package, in the command's own processes too.
         environment = os.environ | {"PYTHONPATH": str(checkout)}
-        began = time.monotonic()
+        began, spent_s = time.monotonic(), cpu_s()
         done = subprocess.run(
             command, cwd=checkout, env=environment, capture_output=True, text=True, timeout=DEADLINE_S, check=False
         )
         if done.returncode not in (0, 1, 3):  # a complete run that is invalid or unknown has a speed too
             raise SystemExit(f"{case.name}: {checkout.name} ended with {done.returncode}\n{done.stderr[-2000:]}")
-        return case.read(done.stdout, time.monotonic() - began)
+        elapsed_s = time.monotonic() - began
+        return {**case.read(done.stdout, elapsed_s), "commands/s of CPU": 1 / (cpu_s() - spent_s)}
+
+
+def cpu_s() -> float:
+    """Return the CPU time of all processes that this one started and that have ended, and of theirs [s]."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 class Ratio(NamedTuple):
@@ -167,9 +178,11 @@ def measure(chosen: Sequence[Case], checkouts: Sequence[Path], budget_s: float, 
 
 def table(ratios: Mapping[tuple[str, str], Ratio], least: float) -> str:
     """Return the ratios as a table in Markdown."""
-    lines = ["| case | speed | B / A | 95 % interval | rounds | |", "|---|---|---|---|---|---|"]
+    lines = ["| case | speed | B / A | 95 % interval | rounds | result |", "|---|---|---|---|---|---|"]
     for (case, name), one in ratios.items():
-        verdict = "LOSS" if lost(one, least) else "gain" if one.low > 1 else ""
+        verdict = (
+            "LOSS" if lost(one, least) else "unclear" if unclear(one, least) else "gain" if one.low > 1 else "no loss"
+        )
         interval = f"{one.low:.3f} to {one.high:.3f}" if math.isfinite(one.high) and one.rounds > 1 else "unknown"
         lines.append(f"| {case} | {name} | {one.mean:.3f} | {interval} | {one.rounds} | {verdict} |")
     return "\n".join(lines)
@@ -178,6 +191,21 @@ def table(ratios: Mapping[tuple[str, str], Ratio], least: float) -> str:
 def lost(one: Ratio, least: float) -> bool:
     """Return True if the rounds show that the ratio is below `least`."""
     return one.rounds >= FEWEST and one.high < least
+
+
+def unclear(one: Ratio, least: float) -> bool:
+    """Return True if the rounds show neither that the ratio is below `least` nor that it is not."""
+    return not lost(one, least) and (one.rounds < FEWEST or one.low < least)
+
+
+def conclusion(ratios: Mapping[tuple[str, str], Ratio], least: float) -> str:
+    """Return the result of all cases in words."""
+    losses = sum(lost(one, least) for one in ratios.values())
+    doubts = sum(unclear(one, least) for one in ratios.values())
+    found = f"{losses or 'none'} of {len(ratios)} speeds fell below {least:g} of A"
+    if not doubts:
+        return f"{found}."
+    return f"{found}; {doubts} unclear. For a clear result, use a quiet machine, or --only for more rounds of one case."
 
 
 def _arguments(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -216,6 +244,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     else:
         print(f"A {commits[0]}, B {commits[1]}; {platform.machine()}, {os.cpu_count()} cores\n")
         print(table(ratios, known.least))
+        print(f"\n{conclusion(ratios, known.least)}")
     if any(lost(one, known.least) for one in ratios.values()):
         raise SystemExit(1)
 

@@ -44,6 +44,7 @@ from hedgerow.wire.runtime import LONG_BYTES, keep_memory, runtime_environment
 from hedgerow.wire.session import WireError, close, open_client, publisher, subscriber
 from hedgerow.wire.shared_rows import SharedRows, create
 from hedgerow.wire.shared_rows import close as close_shared
+from hedgerow.wire.shared_steps import create_steps, worth_sharing
 from hedgerow.wire.stream import Inbox, rows_ahead
 
 SIZES = [10**2, 10**3, 10**4, 10**5, 10**6]
@@ -91,8 +92,11 @@ class Apart(NamedTuple):
     """the CPU time per step of the plant, of the agents' processes, and of the receiver of telemetry"""
 
 
-def shards(truth: Truth, views: Sequence[View], folder: Path, share: bool = True) -> Apart:
-    """Return the same for separate processes: the plant, and one for each view."""
+def shards(truth: Truth, views: Sequence[View], folder: Path, share: bool = True, steps: bool = True) -> Apart:
+    """Return the same for separate processes: the plant, and one for each view.
+
+    If `share`, telemetry is in shared memory; if `steps`, states and inputs are.
+    """
     endpoint = f"unixsock-stream/{folder / 'router.sock'}"
     truth.write(folder / "plant.npz")
     n, e = len(truth.ids), len(truth.edges)
@@ -100,12 +104,17 @@ def shards(truth: Truth, views: Sequence[View], folder: Path, share: bool = True
     shared, path = create(size, rows_ahead(n, e)) if share and size > LONG_BYTES else (None, "")
     # On a busy machine, an agent may take longer than the plant waits by default: then every step is wrong.
     waits = ["--deadline", str(DEADLINE_S)]
-    commands = [
-        ["plant", str(folder / "plant.npz"), "--listen", endpoint, *waits, *(["--shared", path] if path else [])]
-    ]
+    memories = {
+        view.shard: memory
+        for view in views
+        if steps and worth_sharing(view.k, len(view.row)) and (memory := create_steps(view.k, len(view.row)))
+    }
+    plant = ["plant", str(folder / "plant.npz"), "--listen", endpoint, *waits, *(["--shared", path] if path else [])]
+    commands = [plant + [word for p, memory in memories.items() for word in ("--memory", str(p), memory)]]
     for view in views:
         view.write(folder / f"{view.shard}.npz")
-        commands.append(["agents", str(folder / f"{view.shard}.npz"), "--connect", endpoint])
+        own = ["--memory", memories[view.shard]] if view.shard in memories else []
+        commands.append(["agents", str(folder / f"{view.shard}.npz"), "--connect", endpoint, *own])
     environment = os.environ | runtime_environment()
     processes = [
         subprocess.Popen(
@@ -120,7 +129,8 @@ def shards(truth: Truth, views: Sequence[View], folder: Path, share: bool = True
         pids = [*(process.pid for process in processes), os.getpid()]
         return _observe(endpoint, truth.steps, len(truth.ids), [psutil.Process(pid) for pid in pids], shared)
     finally:
-        close_shared(path)
+        for one in (path, *memories.values()):
+            close_shared(one)
         for command, process in zip(commands, processes, strict=True):
             _, output = process.communicate()  # this closes its lifeline, in case it still runs
             if process.returncode:
@@ -221,11 +231,23 @@ def measure_unequal(nodes: int, processes: int, rounds: int) -> dict[str, float]
 
 
 def measure_shared(nodes: int, processes: int, rounds: int) -> dict[str, float]:
-    """Return one row of the table of `--shared`: a ring with telemetry in messages, and in shared memory."""
+    """Return one row of the table of `--shared`: a ring with messages alone, and with shared memory."""
     with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:
         network = network_of("ring", nodes, _steps(nodes), Path(scratch))
         case = network, partition(network.graph, processes)
         return {"nodes": nodes, **_in_turns(case, case, rounds, Path(scratch), shared=(False, True))}
+
+
+def measure_shared_steps(nodes: int, processes: int, rounds: int) -> dict[str, float]:
+    """Return one row of the table of `--shared-steps`: a ring with states and inputs in messages, and in shared
+    memory.
+
+    Its telemetry is in shared memory in both.
+    """
+    with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:
+        network = network_of("ring", nodes, _steps(nodes), Path(scratch))
+        case = network, partition(network.graph, processes)
+        return {"nodes": nodes, **_in_turns(case, case, rounds, Path(scratch), steps=(False, True))}
 
 
 def _steps(nodes: int) -> int:
@@ -238,14 +260,19 @@ def _in_turns(
     rounds: int,
     folder: Path,
     shared: tuple[bool, bool] = (True, True),
+    steps: tuple[bool, bool] = (True, True),
 ) -> dict[str, float]:
     """Return the medians of the ratios of two networks of shards, the second to the first, within a round."""
     runs = []
     for number in range(rounds):
-        turns = [*zip((before, after), shared, strict=True)]
+        turns = [
+            *zip(
+                (before, after), shared, [one and other for one, other in zip(shared, steps, strict=True)], strict=True
+            )
+        ]
         if number % 2:
             turns.reverse()
-        old, new = (shards(truth_of(*case), views_of(*case), folder, share) for case, share in turns)
+        old, new = (shards(truth_of(*case), views_of(*case), folder, *memory) for case, *memory in turns)
         if number % 2:
             old, new = new, old
         if before[0] is after[0] and old.x.tobytes() != new.x.tobytes():
@@ -268,7 +295,10 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--cuts", action="store_true", help="a random graph by an order of its nodes, and by METIS")
     parser.add_argument("--unequal", action="store_true", help="a ring, and one with gains and weights that differ")
-    parser.add_argument("--shared", action="store_true", help="telemetry in messages, and in shared memory")
+    parser.add_argument("--shared", action="store_true", help="messages alone, and shared memory")
+    parser.add_argument(
+        "--shared-steps", action="store_true", help="states and inputs in messages, and in shared memory"
+    )
     parser.add_argument("--json", action="store_true")
     known = parser.parse_args()
     print(f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}", file=sys.stderr)
@@ -277,6 +307,7 @@ def main() -> None:
         (known.cuts, measure_cuts),
         (known.unequal, measure_unequal),
         (known.shared, measure_shared),
+        (known.shared_steps, measure_shared_steps),
     ):
         of_size = other if asked else of_size
     show((of_size(n, known.processes, known.rounds) for n in known.nodes), 26, known.json)

@@ -29,7 +29,7 @@ class Inputs:
         nothing = [np.full(k, np.nan).tobytes() for k in sizes]
         self._silence = [Input(-1, nan, nan, nan, bytes(m)) for nan, m in zip(nothing, incidences, strict=True)]
         self._t, self._heads = -1, [b""] * len(sizes)
-        self._messages = [b""] * len(sizes)
+        self._messages: list[bytes | memoryview] = [b""] * len(sizes)
         """By shard: the message; empty while there is none."""
         self._regular = 0
         """number of messages with the expected header and length"""
@@ -50,10 +50,13 @@ class Inputs:
         heads = {k: header(Kind.INPUT, k, t) for k in set(self._sizes)}
         self._heads = [heads[k] for k in self._sizes]
 
-    def take(self, p: int, message: bytes) -> bool:
-        """Keep the message of shard p, once per step; return False if it is of another step. Raises MessageError."""
+    def take(self, p: int, message: bytes | memoryview) -> bool:
+        """Keep the message of shard p, once per step; return False if it is of another step. Raises MessageError.
+
+        A view of shared memory must stay as it is until `rest` is read.
+        """
         bits = len(message) - self._lengths[p]
-        if (bits in (0, self._incidences[p])) and message.startswith(self._heads[p]):
+        if (bits in (0, self._incidences[p])) and message[:HEADER_BYTES] == self._heads[p]:
             self._regular += 1
             if bits:
                 self._with_bits = True
@@ -65,7 +68,7 @@ class Inputs:
     def u(self) -> Array:
         """Return the inputs of the step, (n,), in the order of the shards, NaN where a shard is silent."""
         if self._together and self._regular == len(self._messages):
-            messages: Sequence[bytes] = self._messages
+            messages: Sequence[bytes | memoryview] = self._messages
             self._took = ()
             if self._with_bits:
                 self._took = [message[length:] for message, length in zip(messages, self._lengths, strict=True)]

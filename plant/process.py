@@ -13,7 +13,7 @@ import logging
 import secrets
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NoReturn
 
 import numpy as np
@@ -82,10 +82,12 @@ class Plant:
         start_s: float = START_DEADLINE_S,
         network: str = "",
         shared: str = "",
+        memories: Mapping[int, str] | None = None,
     ) -> None:
         """Connect the plant.
 
-        `shared` is the path of memory that the observer shares; without it, telemetry travels in messages.
+        `shared` is the path of memory that the observer shares; without it, telemetry travels in messages. `memories`
+        are those that the agents share, by shard, for states and inputs.
 
         `start_s` is the time that all processes have to join [s]; `network` is the fingerprint that each must have.
         """
@@ -114,14 +116,15 @@ class Plant:
 
         self._session = session
         self._telemetry = publisher(session, keys.TELEMETRY)
-        self._outbox = Outbox(self._telemetry.put)
+        # Queue fewer rows than the plant may send ahead: it would wait for an answer to rows that have not left.
+        self._outbox = Outbox(self._telemetry.put, max(1, self._ahead // 2))
         self._send_row = self._outbox.send_soon if telemetry_bytes(n, e) <= LONG_BYTES else self._outbox.send
         self._shared = open_shared(shared, telemetry_bytes(n, e)) if shared else None
         if self._shared is not None:
             self._send_row = self._share_row
         elif shared:
             LOG.warning("%s: cannot be opened here; telemetry travels in messages", shared)
-        self.shards = Shards(truth, self.world, session, self.report_event)
+        self.shards = Shards(truth, self.world, session, self.report_event, memories or {})
         self._tokens = Tokens(len(self.shards.all), self.number, self._see)
         self._inputs = Inputs([len(one.nodes) for one in self.shards.all], [one.incidences for one in self.shards.all])
         self._receivers = [
@@ -212,7 +215,7 @@ class Plant:
         if self.clock.held and not self.shards.held_for and self._wait_s() <= 0:
             self.clock.sent()
             for shard in self.shards.all:
-                shard.send()
+                shard.send(self.world.t)
 
     def _wait_s(self) -> float:
         """Return the time until state(t) may leave [s]: until its turn, or until the observer has caught up."""
@@ -239,7 +242,7 @@ class Plant:
         elif self.shards.missing and self.clock.repeat_is_due():
             LOG.info("step %d: repeated, still without shards %s", self.world.t, sorted(self.shards.missing))
             for shard in self.shards.all:
-                shard.send()
+                shard.send(self.world.t)
         self._go_on()
         return 0.0 if self.clock.held else min(RESEND_AFTER_S, max(0.01, self._deadline_s - self.clock.waited_s()))
 
@@ -306,7 +309,7 @@ class Plant:
         """Write a row into the shared memory, and send its place; send the row if all places are in use."""
         shared = self._shared
         if shared is not None and len(self._outbox) < shared.rows:
-            self._outbox.send(shared.write(self.world.t, row))
+            self._outbox.send_soon(shared.write(self.world.t, row))
         else:
             self._outbox.send(*row)
 
@@ -357,7 +360,7 @@ class Plant:
         with self._lock:  # `with` of the condition costs three times as much
             shard, missing = self.shards.all[p], self.shards.missing
             if p in missing and self.running:
-                if self._inputs.take(p, message):
+                if self._inputs.take(p, self._at_its_place(p, message)):
                     shard.returning = False
                     self._stopwatch.now[p] = time.monotonic() - self.clock.sent_at
                     missing.discard(p)
@@ -369,10 +372,15 @@ class Plant:
                 shard.state.put(self._farewell)
                 self.changed.notify_all()
             else:
-                decode_input(message, len(shard.nodes), shard.incidences)
+                if kind_of(message) != Kind.PLACE:  # a late one is not read: its row may hold another step
+                    decode_input(message, len(shard.nodes), shard.incidences)
                 if shard.fault is not None:
                     shard.back = True
                     self.changed.notify_all()
+
+    def _at_its_place(self, p: int, message: bytes) -> bytes | memoryview:
+        memory = self.shards.all[p].memory
+        return message if memory is None or kind_of(message) != Kind.PLACE else memory.view(message)
 
     def _take_seen(self, message: bytes) -> None:
         with self.changed:
@@ -422,6 +430,14 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("--network", default="", help="the fingerprint that each joining process must have")
     parser.add_argument("--credentials", type=user_path, help="the folder with its certificate")
     parser.add_argument("--shared", default="", help="memory that it shares with the observer")
+    parser.add_argument(
+        "--memory",
+        nargs=2,
+        action="append",
+        default=[],
+        metavar=("SHARD", "PATH"),
+        help="memory that it shares with a shard",
+    )
     return parser
 
 
@@ -434,8 +450,16 @@ def run(known: argparse.Namespace) -> NoReturn:
             session = open_router(known.listen, known.namespace, known.credentials)
         else:
             session = open_client(known.connect, known.namespace, known.credentials)
+        memories = {int(p): path for p, path in known.memory}
         plant = Plant(
-            Truth.read(known.truth), session, known.rate, known.deadline, known.start, known.network, known.shared
+            Truth.read(known.truth),
+            session,
+            known.rate,
+            known.deadline,
+            known.start,
+            known.network,
+            known.shared,
+            memories,
         )
         try:
             plant.run()

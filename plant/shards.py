@@ -8,7 +8,7 @@ lock held.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -20,8 +20,10 @@ from hedgerow.plant.truth import Truth
 from hedgerow.plant.world import World
 from hedgerow.topologies.effects import FOREVER, Effect
 from hedgerow.wire import keys
-from hedgerow.wire.codec import encode_quiet_states, encode_record, encode_state
+from hedgerow.wire.codec import encode_quiet_states, encode_record, encode_state, kind_of
+from hedgerow.wire.message import Kind
 from hedgerow.wire.session import Sender
+from hedgerow.wire.shared_steps import PLANT, SharedSteps, open_steps
 
 
 @dataclass
@@ -59,6 +61,8 @@ class Shard:
     """the number of the process that last received this place"""
     claimed_until: float = 0.0
     """the end of the reservation for that process, which is not there yet"""
+    memory: SharedSteps | None = None
+    """memory for its states and inputs; None if they travel in messages"""
 
     @property
     def ready(self) -> bool:
@@ -70,23 +74,38 @@ class Shard:
         """Return True if it was lost and is present again; a late input of an earlier life does not count."""
         return self.fault is not None and self.back and self.life > self.died
 
-    def send(self) -> None:
-        """Send its messages of this step."""
+    def send(self, t: int) -> None:
+        """Send its messages of step t."""
+        # A life that cannot open the memory gets whole messages.
+        memory = self.memory if self.memory is not None and self.memory.has(self.life + 1) else None
         for message in self.messages:
-            self.state.put(message)
+            self.state.put(memory.write(t, message) if memory and kind_of(message) == Kind.STATE else message)
 
 
 class Shards:
     """All shards of a run, and what the current step waits for."""
 
-    def __init__(self, truth: Truth, world: World, session: zenoh.Session, report: Callable[..., None]) -> None:
-        """Prepare the shards; `report(event, **details)` reports to the observer."""
+    def __init__(
+        self,
+        truth: Truth,
+        world: World,
+        session: zenoh.Session,
+        report: Callable[..., None],
+        memories: Mapping[int, str],
+    ) -> None:
+        """Prepare the shards; `report(event, **details)` reports to the observer.
+
+        `memories` are the paths of memory for states and inputs, by shard.
+        """
         self._world, self._report = world, report
         degree = world.graph.degree
         self.all = [
             Shard(_name(p, truth), nodes.tolist(), int(degree[nodes].sum()), Sender(session, keys.state(p)))
             for p, nodes in enumerate(truth.shards)
         ]
+        for p, path in memories.items():
+            shard = self.all[p]
+            shard.memory = open_steps(path, len(shard.nodes), shard.incidences, PLANT, plant=True)
         self._sizes = [len(shard.nodes) for shard in self.all]
         self.missing: set[int] = set()
         """the shards without an input(t)"""

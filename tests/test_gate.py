@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.gate import cases, lost, ratio, unpack
+from benchmarks.gate import cases, lost, ratio, unclear, unpack
 from hedgerow.topologies.errors import Exit
 from hedgerow.topologies.load import load
 
@@ -32,11 +32,20 @@ def test_the_interval_holds_the_mean_and_the_other_way_round_is_the_inverse(pair
 
 
 @pytest.mark.parametrize(
-    ("speeds", "expected"),
-    [([0.8, 0.81, 0.79], True), ([0.8, 0.81], False), ([0.8, 1.3, 0.7], False), ([1.0, 0.99, 1.02], False)],
+    ("speeds", "is_lost", "is_unclear"),
+    [
+        ([0.8, 0.81, 0.79], True, False),
+        ([0.8, 0.81], False, True),
+        ([0.8, 1.3, 0.7], False, True),
+        ([1.0, 0.99, 1.02], False, False),
+    ],
 )
-def test_speed_is_lost_only_if_the_whole_interval_shows_it(speeds: list[float], expected: bool) -> None:
-    assert lost(ratio([(1.0, speed) for speed in speeds]), 0.9) is expected
+def test_speed_is_lost_only_if_the_whole_interval_shows_it(
+    speeds: list[float], is_lost: bool, is_unclear: bool
+) -> None:
+    one = ratio([(1.0, speed) for speed in speeds])
+    assert lost(one, 0.9) is is_lost
+    assert unclear(one, 0.9) is is_unclear
 
 
 def test_a_name_that_is_no_revision_is_refused(tmp_path: object) -> None:

@@ -17,6 +17,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from hedgerow.topologies import law_files
+
 _NAME = re.compile(r"[A-Za-z][\w-]*|[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*")
 _KEY = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 NAMES = (
@@ -72,7 +74,9 @@ class LawChoice:
     def of(cls, name: str, parameters: Mapping[str, Any]) -> LawChoice:
         """Return a checked choice; raise ValueError with the problem."""
         if not _NAME.fullmatch(name):
-            raise ValueError(f"is neither the name of a law nor package.module:Class{_module_of(name)}")
+            raise ValueError(
+                f"is neither the name of a law nor package.module:Class{_module_of(name) or law_files.hint(name)}"
+            )
         if len(parameters) > MOST_PARAMETERS:
             raise ValueError(f"has more than {MOST_PARAMETERS} parameters")
         for key, value in parameters.items():
@@ -94,7 +98,7 @@ def _module_of(name: str) -> str:
     Empty for another name.
     """
     module, _, own = name.rpartition(".")
-    if own != "py" and _NAME.fullmatch(choice := f"{module}:{own}"):
+    if own[:1].isupper() and _NAME.fullmatch(choice := f"{module}:{own}"):
         return f": write {choice}"
     file, _, own = name.rpartition(":")
     folder, _, module = file.removesuffix(".py").rpartition("/")

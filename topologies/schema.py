@@ -28,6 +28,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
+from hedgerow.topologies import law_files
 from hedgerow.topologies.base import (
     Label,
     Model,
@@ -80,7 +81,8 @@ def _law(value: Any) -> Any:
         raise PydanticCustomError("law", "{problem}", {"problem": str(error)}) from None
     if ":" not in choice.name and choice.name not in NAMES:
         near = difflib.get_close_matches(choice.name, NAMES, 1)
-        hint = f"; did you mean {near[0]}?" if near else ""
+        listed = f"; did you mean {near[0]}?" if near else ""
+        hint = law_files.hint(choice.name, exact=True) or listed or law_files.hint(choice.name)
         raise PydanticCustomError(
             "law", "a law is {names} or package.module:Class{hint}", {"names": ", ".join(NAMES), "hint": hint}
         )

@@ -8,10 +8,19 @@ incidence.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, void
+from numba import float64, int64, njit, uint64, void
 
 from hedgerow.topologies.graph import Array, Index
-from hedgerow.topologies.kernels import INDEX, READ, READ_ROWS, WRITE, WRITE_ROWS
+from hedgerow.topologies.kernels import BLOCK, INDEX, READ, READ_ROWS, WRITE, WRITE_ROWS
+
+
+@njit(float64(INDEX, INDEX, READ, READ, int64), cache=True)
+def _flow_of(first: Index, other: Index, weight: Array, u: Array, i: int) -> float:
+    """Return the flow of node i."""
+    total, own = 0.0, u[i]
+    for c in range(uint64(first[i]), uint64(first[i + 1])):
+        total += weight[c] * (own - u[uint64(other[c])])
+    return total
 
 
 @njit(WRITE(INDEX, INDEX, READ, READ), cache=True)
@@ -19,10 +28,7 @@ def flow(first: Index, other: Index, weight: Array, u: Array) -> Array:
     """Return the flow: bincount(node, weight * (u[node] - u[other])); node i has the incidences from first[i] on."""
     flows = np.empty(len(first) - 1)
     for i in range(len(flows)):
-        total = 0.0
-        for c in range(first[i], first[i + 1]):
-            total += weight[c] * (u[i] - u[other[c]])
-        flows[i] = total
+        flows[i] = _flow_of(first, other, weight, u, i)
     return flows
 
 
@@ -31,10 +37,7 @@ def dynamics(first: Index, other: Index, weight: Array, a: Array, b: Array, x: A
     """Return the state after x: a * x + b * flow(u) + w; equation (1)."""
     x_next = np.empty(len(x))
     for i in range(len(x)):
-        total = 0.0
-        for c in range(first[i], first[i + 1]):
-            total += weight[c] * (u[i] - u[other[c]])
-        x_next[i] = a[i] * x[i] + b[i] * total + w[i]
+        x_next[i] = a[i] * x[i] + b[i] * _flow_of(first, other, weight, u, i) + w[i]
     return x_next
 
 
@@ -53,18 +56,27 @@ def learn(
 ) -> None:
     """Update J and choose the estimate again, as `kernels.learn` does."""
     M, k = J.shape
-    for i in range(k):
-        y = x_next[i] - b[i] * flow[i]
-        least = second = np.inf
-        estimate = candidates[0, i]
+    y, least = np.empty(BLOCK), np.empty(BLOCK)
+    # The innermost loop runs over nodes that are side by side, so that one instruction handles several of them. Slices
+    # have indices from 0 on, which need no check for negative ones.
+    for start in range(0, k, BLOCK):
+        stop = min(start + BLOCK, k)
+        state, estimate, second = x[start:stop], ahat[start:stop], margin[start:stop]
+        first, gain, flows, after = candidates[0, start:stop], b[start:stop], flow[start:stop], x_next[start:stop]
+        for i in range(stop - start):
+            y[i] = after[i] - gain[i] * flows[i]
+            estimate[i] = first[i]
+            least[i] = second[i] = np.inf
         for m in range(M):
-            candidate = candidates[m, i]
-            residual = candidate * x[i] - y
-            total = J[m, i] + residual * residual
-            J[m, i] = total
-            # Avoid a branch: the processor would often predict it wrong.
-            estimate = candidate if total < least else estimate
-            second = min(second, max(total, least))
-            least = min(least, total)
-        ahat[i] = estimate
-        margin[i] = second - least if M > 1 else np.inf
+            cost, candidate = J[m, start:stop], candidates[m, start:stop]
+            for i in range(stop - start):
+                before, model = least[i], candidate[i]
+                residual = model * state[i] - y[i]
+                total = cost[i] + residual * residual
+                cost[i] = total
+                estimate[i] = model if total < before else estimate[i]
+                larger = total if total > before else before
+                second[i] = larger if larger < second[i] else second[i]
+                least[i] = total if total < before else before
+        for i in range(stop - start):
+            second[i] = second[i] - least[i] if M > 1 else np.inf

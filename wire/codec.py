@@ -113,7 +113,12 @@ def kind_of(message: bytes) -> int:
     return message[1] if len(message) >= _SIZE else -1
 
 
-def _open(message: bytes, kind: int, n: int, size: int) -> int:
+def step_of(message: bytes | memoryview) -> int:
+    """Return the step in a header of HEADER_BYTES; nothing is checked."""
+    return _STEP.unpack_from(message, _SIZE - _STEP.size)[0]  # type: ignore[no-any-return]
+
+
+def _open(message: bytes | memoryview, kind: int, n: int, size: int) -> int:
     """Return the step of a message; raise MessageError if its header or length is wrong."""
     if len(message) == _SIZE + size:
         version, found, _, nodes, t = _HEADER.unpack_from(message)
@@ -122,7 +127,7 @@ def _open(message: bytes, kind: int, n: int, size: int) -> int:
     raise MessageError(_complaint(message, kind, n, size))
 
 
-def _complaint(message: bytes, kind: int, n: int, size: int) -> str:
+def _complaint(message: bytes | memoryview, kind: int, n: int, size: int) -> str:
     if len(message) < _SIZE:
         return f"{len(message)} bytes are too short for a header of {_SIZE}"
     version, found, _, nodes, t = _HEADER.unpack_from(message)
@@ -217,7 +222,7 @@ def encode_input(t: int, u: Buffer, report: Buffer, used: Buffer) -> bytes:
     return _pack(_INPUT, _count(u), t, u, report, used)
 
 
-def decode_input(message: bytes, k: int, m: int) -> Input:
+def decode_input(message: bytes | memoryview, k: int, m: int) -> Input:
     """Return the Input of k nodes with m incidences."""
     size, whole = 8 * k, memoryview(message)
     numbers = size * (1 + REPORT_ROWS)

@@ -58,9 +58,14 @@ def create(row_bytes: int, ahead: int) -> tuple[SharedRows | None, str]:
 
     Return None and an empty path where the system has none: then rows travel in messages.
     """
-    size = (ahead + SPARE) * row_bytes
+    memory, path = new_memory("hedgerow-telemetry", (ahead + SPARE) * row_bytes)
+    return (None if memory is None else SharedRows(memory, row_bytes)), path
+
+
+def new_memory(name: str, size: int) -> tuple[mmap.mmap | None, str]:
+    """Return new memory of `size` bytes, all 0, and its path; None and an empty path where the system has none."""
     try:
-        descriptor = os.memfd_create("hedgerow-telemetry")
+        descriptor = os.memfd_create(name)
     except (AttributeError, OSError):  # not Linux, or forbidden
         return None, ""
     try:
@@ -70,26 +75,32 @@ def create(row_bytes: int, ahead: int) -> tuple[SharedRows | None, str]:
     except OSError:
         os.close(descriptor)
         return None, ""
-    return SharedRows(memory, row_bytes), f"/proc/{os.getpid()}/fd/{descriptor}"
+    return memory, f"/proc/{os.getpid()}/fd/{descriptor}"
 
 
 def open_shared(path: str, row_bytes: int) -> SharedRows | None:
     """Return the memory of another process; None if it cannot be opened here, as in another container."""
+    memory = open_memory(path, (1 + SPARE) * row_bytes)
+    return None if memory is None else SharedRows(memory, row_bytes)
+
+
+def open_memory(path: str, least: int) -> mmap.mmap | None:
+    """Return the memory of another process, of at least `least` bytes; None if it cannot be opened here."""
     if not _PATH.fullmatch(path):
         return None
     with contextlib.suppress(OSError, ValueError):
         descriptor = os.open(path, os.O_RDWR | os.O_CLOEXEC)
         try:
             size = os.fstat(descriptor).st_size
-            if size >= (1 + SPARE) * row_bytes:
-                return SharedRows(mmap.mmap(descriptor, size), row_bytes)
+            if size >= least:
+                return mmap.mmap(descriptor, size)
         finally:
             os.close(descriptor)
     return None
 
 
 def close(path: str) -> None:
-    """Close the descriptor of memory that `create` made; its mappings stay."""
+    """Close the descriptor of memory that `new_memory` made; its mappings stay."""
     if path:
         with contextlib.suppress(OSError):
             os.close(int(path.rpartition("/")[2]))

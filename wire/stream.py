@@ -40,8 +40,9 @@ def rows_ahead(n: int, e: int) -> int:
 class Outbox:
     """The sender's end. It stores each batch until the receiver acknowledges it. Not thread-safe."""
 
-    def __init__(self, put: Callable[[bytes], None]) -> None:
-        self._put = put
+    def __init__(self, put: Callable[[bytes], None], most_waiting: int = AHEAD_ROWS) -> None:
+        """`most_waiting` is the number of queued messages that leave at once."""
+        self._put, self._most_waiting = put, most_waiting
         self.sent = 0
         """the number of batches sent, repetitions not included"""
         self._sent_at = self._repeated_at = 0.0
@@ -66,7 +67,7 @@ class Outbox:
         """Send the next message; queue it if the last batch left a moment ago, so that messages share a batch."""
         self._add()
         self._waiting.append((join(message),))
-        if time.monotonic() - self._sent_at >= TOGETHER_S:
+        if len(self._waiting) >= self._most_waiting or time.monotonic() - self._sent_at >= TOGETHER_S:
             self._send()
 
     def _add(self) -> None:

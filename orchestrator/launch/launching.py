@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import zenoh
 
 from hedgerow.agents.law_source import source_digest
+from hedgerow.agents.view import View
 from hedgerow.orchestrator.ground.assignment import Layout, places, truth_of, views_of
 from hedgerow.orchestrator.ground.signals import Interrupts
 from hedgerow.orchestrator.launch.certificates import host_of
@@ -34,12 +35,15 @@ from hedgerow.wire.runtime import LONG_BYTES
 from hedgerow.wire.session import CONNECT_TIMEOUT_S, RefusedError, WireError, close, open_client
 from hedgerow.wire.shared_rows import SharedRows, create
 from hedgerow.wire.shared_rows import close as close_shared
+from hedgerow.wire.shared_steps import create_steps, worth_sharing
 from hedgerow.wire.stream import rows_ahead
 
 ROUTER_FILES = 24
 """Open files of a plant that is the router, besides one per agent process."""
 AGENT_THREADS, PLANT_THREADS, OWN_THREADS = 5, 10, 9
 """Threads of a process with a Zenoh session (measured), and those that this process starts for its own."""
+MOST_MEMORIES = 64
+"""The maximum number of shards with memory for their states and inputs; each takes an open file."""
 LOOK_S = 1.0
 """The time of one try to open our own session [s]; then we check that there is still a router to wait for."""
 
@@ -117,11 +121,13 @@ class Launch:
             meanwhile()
         stack.enter_context(connection.laid(places(self.views)))
         stack.callback(self._fork_client.clear)
-        processes = Processes(self._fork_client, self._folder, connection)
+        external = self._options.external
+        ours = [view for view in self.views if external is None or view.shard not in external]
+        memories = self._memories(ours, stack) if external is None or not external.plant else {}
+        processes = Processes(self._fork_client, self._folder, connection, memories)
         if connection.listens:  # without this, agents that the router cannot accept would be restarted for a minute
             need(f"a plant with {len(self.views)} agent processes", open_files=len(self.views) + ROUTER_FILES)
-        external, meeting, fleet = self._options.external, None, None
-        ours = [view for view in self.views if external is None or view.shard not in external]
+        meeting, fleet = None, None
         need_threads("this run", AGENT_THREADS * len(ours) + PLANT_THREADS + OWN_THREADS)
         shared: SharedRows | None = None
         # Start no process if there is no router.
@@ -165,6 +171,16 @@ class Launch:
         shared, path = create(telemetry_bytes(n, e), rows_ahead(n, e))
         stack.callback(close_shared, path)
         return shared, path
+
+    def _memories(self, ours: Sequence[View], stack: contextlib.ExitStack) -> Mapping[int, str]:
+        """Return the paths of memory for the states and inputs of our own large shards, while `stack` lasts."""
+        memories = {}
+        for view in ours[:MOST_MEMORIES]:
+            k, m = view.k, len(view.row)
+            if worth_sharing(k, m) and (path := create_steps(k, m)):
+                stack.callback(close_shared, path)
+                memories[view.shard] = path
+        return memories
 
     def _connect(self, processes: Processes, interrupts: Interrupts, stack: contextlib.ExitStack) -> zenoh.Session:
         """Return our own session while `stack` lasts; raise HedgerowError if no router comes in time, or our router

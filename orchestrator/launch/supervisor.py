@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -81,9 +81,16 @@ class _Agent:
 class Processes:
     """The plant and the agents of one run, each a separate process with a log."""
 
-    def __init__(self, fork_client: ForkClient, folder: RunFolder, connection: Connection) -> None:
+    def __init__(
+        self,
+        fork_client: ForkClient,
+        folder: RunFolder,
+        connection: Connection,
+        memories: Mapping[int, str] | None = None,
+    ) -> None:
+        """`memories` are the paths of memory that the plant shares with shards; see `wire.shared_steps`."""
         self._fork_client, self._folder = fork_client, folder
-        self._connection = connection
+        self._connection, self._memories = connection, memories or {}
         self._connect = ["--connect", connection.endpoint]
         self._names: list[str] = []
         self._agents: dict[str, _Agent] = {}
@@ -102,8 +109,8 @@ class Processes:
             # A process takes 8 ms to read its first .npz file, and 0.1 ms to read JSON.
             file = self._folder.processes / f"{name}.{'json' if view.k <= SMALL else 'npz'}"
             view.write(file)
-            self._agents[name] = _Agent(view.shard, file)
-            orders.append(self._order(name, "agents", file, self._connect))
+            self._agents[name] = agent = _Agent(view.shard, file)
+            orders.append(self._order_of(name, agent))
             self._names.append(name)
         self._fork_client.fork(*orders)
 
@@ -115,6 +122,7 @@ class Processes:
         `shared` is the path of memory for its telemetry; see `wire.shared_rows`.
         """
         options = ["--rate", str(rate), "--deadline", str(deadline_s), *(["--shared", shared] if shared else [])]
+        options += [word for p, path in self._memories.items() for word in ("--memory", str(p), path)]
         if external is not None:
             options += ["--network", external.network, "--start", str(external.wait_s + OWN_START_S)]
         listen = external.listen if external and external.listen else self._connection.endpoint
@@ -123,6 +131,13 @@ class Processes:
         truth.write(file)
         self._fork_client.fork(self._order(keys.PLANT, "plant", file, options))
         self._names.append(keys.PLANT)
+
+    def _order_of(self, name: str, agent: _Agent) -> Order:
+        """Return the order of the next life of an agent."""
+        options = [*self._connect, "--life", str(agent.life)]
+        if (memory := self._memories.get(agent.shard)) is not None:
+            options += ["--memory", memory]
+        return self._order(name, "agents", agent.file, options)
 
     def _order(self, name: str, module: str, file: Path, options: Sequence[str]) -> Order:
         arguments = [str(file), "--namespace", self._connection.namespace, *options]
@@ -181,8 +196,7 @@ class Processes:
                 agent.alive = agent.starting = True
                 agent.killed = agent.reported = agent.again = False
                 self.restarts += 1
-                again = [*self._connect, "--life", str(agent.life)]
-                self._fork_client.fork(self._order(name, "agents", agent.file, again))
+                self._fork_client.fork(self._order_of(name, agent))
         return happened
 
     @staticmethod

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hedgerow.agents.law import Minimax
 from hedgerow.orchestrator.metrics.observer import Batch
 from hedgerow.topologies import fast
+from hedgerow.topologies.graph import Array
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire import history
 from tests.test_faults import faulty
@@ -67,3 +70,34 @@ def test_a_large_network_is_observed_as_a_small_one_is(topology: Topology) -> No
 def summary_of(batch: Batch) -> dict[str, bytes]:
     """Every column of a batch, as bytes."""
     return {name: getattr(batch, name).tobytes() for name in batch.__dataclass_fields__}
+
+
+@given(
+    nodes=st.sampled_from([1, 255, 256, 257, 600]),
+    models=st.integers(1, 4),
+    unequal=st.booleans(),
+    digits=st.integers(0, 3),
+    seed=st.integers(0, 2**16),
+)
+def test_blocks_of_nodes_learn_as_numpy_does(nodes: int, models: int, unequal: bool, digits: int, seed: int) -> None:
+    """With few digits, many candidates are equally good; some nodes have fewer candidates."""
+    pytest.importorskip("numba")
+    numbers = np.random.default_rng(seed)
+
+    def draw(*shape: int) -> Array:
+        return numbers.uniform(0.1, 0.9, shape).round(digits)
+
+    candidates = draw(models, nodes)
+    candidates[1:][draw(models - 1, nodes) < 0.3] = np.nan
+    b = draw(nodes) if unequal else 0.1
+    samples = [(draw(nodes), draw(nodes), draw(nodes)) for _ in range(3)]
+
+    def learned() -> bytes:
+        law = Minimax(b, candidates)
+        for sample in samples:
+            law.learn(*sample)
+        return bytes(law.memory.tobytes() + law.report().tobytes())
+
+    expected = learned()
+    with everything_is_large():
+        assert learned() == expected
