@@ -33,7 +33,7 @@ class Local:
     ids: Ids
     """the ids of the shard's nodes, (k,)"""
     b: float | Array
-    """the gain b of (1), or a gain per node, (k,)"""
+    """the input gain b of (1), or one per node, (k,)"""
     candidates: Array
     """the models of each node in list order, padded with NaN, (M, k)"""
     node: Index

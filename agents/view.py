@@ -43,7 +43,7 @@ class View:
 
     shard: int
     b: float | Array
-    """the gain b of (1), or that of each node, (k,)"""
+    """the input gain b of (1), or that of each node, (k,)"""
     law: str
     """the text of a LawChoice; hinf and nominal are minimax with one candidate"""
     ids: Ids

@@ -40,7 +40,7 @@ COMMAND = (sys.executable, "-P", "-m", "hedgerow.orchestrator")
 WRITTEN = {
     "nodes": "list of node ids, or mapping from node ids to [what they override](#a-node)",
     "defaults": "mapping, [as of a node](#a-node)",
-    "edges": "list of pairs of node ids, or of [`{ends: …, weight: …}`](#gains-and-weights)",
+    "edges": "list of pairs of node ids, or of [`{ends: …, weight: …}`](#input-gains-and-weights)",
     "lots": "mapping of a `seed` and, under `nodes`, of [lots by field](#random-numbers)",
     "graph": "[a rule](#graphs-by-a-rule)",
     "table": "[a file](#tables)",

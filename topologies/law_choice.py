@@ -75,7 +75,7 @@ class LawChoice:
         """Return a checked choice; raise ValueError with the problem."""
         if not _NAME.fullmatch(name):
             raise ValueError(
-                f"is neither the name of a law nor package.module:Class{_module_of_file(name) or law_files.hint(name)}"
+                f"is neither the name of a law nor package.module:Class{_module_of(name) or law_files.hint(name)}"
             )
         if len(parameters) > MOST_PARAMETERS:
             raise ValueError(f"has more than {MOST_PARAMETERS} parameters")
@@ -92,8 +92,14 @@ class LawChoice:
         return f"{self.name}({', '.join(f'{key}={value!r}' for key, value in sorted(self.parameters.items()))})"
 
 
-def _module_of_file(name: str) -> str:
-    """Return the fix for a class that is named by its file, such as `/tmp/mylaw.py:Huber`; empty for another name."""
+def _module_of(name: str) -> str:
+    """Return the fix for a class after a dot, such as `mylaw.Huber`, or after its file, such as `/tmp/mylaw.py:Huber`.
+
+    Empty for another name.
+    """
+    module, _, own = name.rpartition(".")
+    if own[:1].isupper() and _NAME.fullmatch(choice := f"{module}:{own}"):
+        return f": write {choice}"
     file, _, own = name.rpartition(":")
     folder, _, module = file.removesuffix(".py").rpartition("/")
     if not folder or not _NAME.fullmatch(choice := f"{module}:{own}"):

@@ -42,3 +42,12 @@ def real_path(path: Path) -> Path:
             f"{path}: symbolic links lead in a circle. Replace the link by a file or a folder.",
             code=Code.FILE_UNREADABLE,
         ) from None
+
+
+def why_no_folder(error: OSError) -> str:
+    """Return the reason why a folder cannot be made, in words: a file in its place is the user's, and stays."""
+    if isinstance(error, FileExistsError):
+        return "is a file, not a folder"
+    if isinstance(error, NotADirectoryError):
+        return "a part of the path is a file, not a folder"
+    return error.strerror or str(error)

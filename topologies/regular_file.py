@@ -53,9 +53,9 @@ def read_regular(path: Path, inside: Path | None = None, growth: int = 1, start:
 def _refuse_others(path: Path, status: os.stat_result) -> None:
     if not stat.S_ISREG(status.st_mode):
         kind = next((name for is_kind, name in _KINDS if is_kind(status.st_mode)), "special file")
-        raise UserError(
-            f"{path}: is a {kind}, not a regular file. Remove it, or name another.", code=Code.FILE_NOT_REGULAR
-        )
+        # Do not advise the removal of /dev/null, or of a folder with content.
+        cure = "Remove it, or name another." if kind in ("FIFO", "socket") else "Name a regular file."
+        raise UserError(f"{path}: is a {kind}, not a regular file. {cure}", code=Code.FILE_NOT_REGULAR)
 
 
 _KINDS = (

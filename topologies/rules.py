@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ import numpy as np
 from hedgerow.topologies.base import node_id
 from hedgerow.topologies.coupling import Couplings, largest_couplings, largest_gains
 from hedgerow.topologies.disturbances import Samples
-from hedgerow.topologies.errors import Code, FileRefusedError, Problem
+from hedgerow.topologies.errors import Code, FileRefusedError, Problem, Problems
 from hedgerow.topologies.faults import Crash, Fault, Jump
 from hedgerow.topologies.graph import Index
 from hedgerow.topologies.hinf import allowed_interval, satisfies_condition
@@ -24,6 +25,9 @@ from hedgerow.topologies.samples import columns
 from hedgerow.topologies.schema import Topology
 from hedgerow.topologies.source import Path, Source, place_of
 from hedgerow.topologies.table import broken
+
+MOST_COMPARED = 1000
+"""The maximum number of nodes for a comparison of their ids with a wrong id."""
 
 
 def broken_rules(topology: Topology, source: Source, folder: FilePath) -> Iterator[Problem]:
@@ -90,6 +94,7 @@ def _edges(topology: Topology, source: Source) -> Iterator[Problem]:
     if _made(topology):
         return
     seen: dict[frozenset[int | str], int] = {}
+    strange: dict[int | str, str] = {}
     # The topology lacks edges that the schema refused: find the lines of the remaining ones by their ends.
     rows = _rows(topology, source) if topology.edges else []
     for (i, j), k in zip(topology.pairs, rows, strict=True):
@@ -97,7 +102,9 @@ def _edges(topology: Topology, source: Source) -> Iterator[Problem]:
         for end in dict.fromkeys((i, j)):
             if not topology.has(end):
                 what = f"[{i}, {j}] leads to {end!r}, which is no node"
-                yield source.problem(at, what, _cure_of_end(end, topology))
+                if end not in strange:
+                    strange[end] = _cure_of_end(end, topology, similar=len(strange) < Problems.SHOWN)
+                yield source.problem(at, what, strange[end])
         if i == j:
             yield source.problem(at, f"[{i}, {j}] is a self-loop", "remove it")
         elif (first := seen.setdefault(frozenset((i, j)), k)) != k:
@@ -105,10 +112,17 @@ def _edges(topology: Topology, source: Source) -> Iterator[Problem]:
             yield source.problem(at, what, "edges are undirected: keep one")
 
 
-def _cure_of_end(end: int | str, topology: Topology) -> str:
-    """Return the fix for an id of an edge that does not exist; 7 and 007 differ, and are easily confused."""
+def _cure_of_end(end: int | str, topology: Topology, similar: bool) -> str:
+    """Return the fix for an id of an edge that does not exist; 7 and 007 differ, and are easily confused.
+
+    similar: look for a node with a similar id, which takes time for each node.
+    """
     if isinstance(end, str) and end.isdecimal() and topology.has(int(end)):
         return f"write {int(end)}, the node, or add a node {end!r}"
+    if similar and isinstance(end, str) and len(topology.ids) <= MOST_COMPARED:
+        near = difflib.get_close_matches(end, [one for one in topology.ids if isinstance(one, str)], 1)
+        if near:
+            return f"did you mean {near[0]!r}? Correct the id or add the node"
     return "add the node or correct the id"
 
 

@@ -143,7 +143,7 @@ class Topology(Model):
     model_config = ConfigDict(json_schema_extra={"anyOf": [{"required": [key]} for key in ("nodes", "graph", "table")]})
 
     name: Name = Field(description="the name of the run")
-    b: Positive = Field(description="the gain b of (1), of every node without its own `b`")
+    b: Positive = Field(description="the input gain b of (1), of every node without its own `b`")
     steps: Steps = Field(description="T: inputs act at t = 0 .. T-1, states are recorded at t = 0 .. T")
     seed: Seed = Field(0, description="the seed of all random values")
     lots: GivenLots | None = Field(None, description="earlier lots, which preserve a network when the draws change")

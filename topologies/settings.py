@@ -27,7 +27,7 @@ class Settings(Model):
     """The settings of a node."""
 
     b: PositiveValue | None = Field(
-        None, description="the gain b_i of (1), the network's `b` if absent; or `{random: [low, high]}`"
+        None, description="the input gain b_i of (1), the network's `b` if absent; or `{random: [low, high]}`"
     )
     a: TrueA | None = Field(
         None,

@@ -12,7 +12,7 @@ from hedgerow.orchestrator.cli.numbers import choice, real
 from hedgerow.orchestrator.cli.options import File, Law, Processes, Seed, Sets, Steps
 from hedgerow.topologies.errors import Code, UserError, check_options
 from hedgerow.topologies.escape import echo
-from hedgerow.topologies.paths import user_path
+from hedgerow.topologies.paths import user_path, why_no_folder
 
 Secure = Annotated[
     bool | None, typer.Option("--secure/--open", help="keys for every process, and a router that refuses the rest")
@@ -70,7 +70,7 @@ def bundle(
             with whole_folder(out, f"--out {out}") as part:
                 write(part, topology, parts)
     except OSError as error:
-        raise UserError(f"--out {out}: {error.strerror}; choose another folder", code=Code.OUTPUT) from None
+        raise UserError(f"--out {out}: {why_no_folder(error)}; choose another folder", code=Code.OUTPUT) from None
     echo(f"{out}: {len(parts)} processes; {out / 'README.md'} explains the start")
     return 0
 

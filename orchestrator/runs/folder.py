@@ -17,7 +17,7 @@ from hedgerow.orchestrator.ground.law_source import source_of
 from hedgerow.orchestrator.ground.spelling import shown
 from hedgerow.topologies.errors import Code, HedgerowError, UserError
 from hedgerow.topologies.escape import echo
-from hedgerow.topologies.paths import beside, real_path
+from hedgerow.topologies.paths import beside, real_path, why_no_folder
 from hedgerow.topologies.resolve import save
 from hedgerow.topologies.schema import Topology
 
@@ -69,7 +69,7 @@ def new_folder(folder: Path, shown: str, mode: int = 0o777) -> None:
     try:
         folder.mkdir(mode, parents=True, exist_ok=True)
     except OSError as error:
-        raise UserError(f"{shown}: {error.strerror}; name another folder", code=Code.OUTPUT) from error
+        raise UserError(f"{shown}: {why_no_folder(error)}; name another folder", code=Code.OUTPUT) from error
     if any(folder.iterdir()):
         raise UserError(f"{shown}: holds something already; name a new folder", code=Code.OUTPUT)
 
@@ -128,7 +128,8 @@ def create(topology: Topology, directory: Path | None) -> RunFolder:
             folder.note = _point_latest(folder.path.parent, folder.path)
     except OSError as error:
         raise UserError(
-            f"no run folder: {error.filename or directory or 'runs'}: {error.strerror}; choose another with --run-dir",
+            f"no run folder: {error.filename or directory or 'runs'}: {why_no_folder(error)};"
+            " choose another with --run-dir",
             code=Code.OUTPUT,
         ) from None
     return folder
@@ -148,7 +149,7 @@ def reserve(name: str) -> RunFolder:
         folder = _new_in(Path("runs"), name)
     except OSError as error:
         raise UserError(
-            f"no run folder: runs: {error.strerror}. Give a folder with run_dir.", code=Code.OUTPUT
+            f"no run folder: runs: {why_no_folder(error)}. Give a folder with run_dir.", code=Code.OUTPUT
         ) from None
     latest = folder.path.parent / "latest"
     folder.latest_before = os.readlink(latest) if latest.is_symlink() else None

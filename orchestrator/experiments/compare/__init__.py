@@ -25,6 +25,7 @@ from hedgerow.orchestrator.experiments.sweep.progress import collect
 from hedgerow.orchestrator.experiments.sweep.runs import Answer, Row
 from hedgerow.orchestrator.experiments.sweep.summary import REPEATED
 from hedgerow.orchestrator.experiments.sweep.workers import over_processes
+from hedgerow.topologies.describe import count
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.escape import echo
 
@@ -125,8 +126,9 @@ def compare(plan: Comparison, out: Path | None = None, jobs: int | None = None, 
     with SweepFolder(plan, out or plan.default_out, METRICS) as folder:
         there = folder.there
         if not quiet:
-            count = f"{len(plan.laws)} laws, {len(plan.disturbances)} disturbances, {len(plan.seeds)} seeds"
-            echo(f"{plan.name}: {count}, into {folder.path}" + (f"; {there} of {plan.runs} were there" * (there > 0)))
+            things = (("law", plan.laws), ("disturbance", plan.disturbances), ("seed", plan.seeds))
+            counts = ", ".join(count(len(some), thing) for thing, some in things)
+            echo(f"{plan.name}: {counts}, into {folder.path}" + (f"; {there} of {plan.runs} were there" * (there > 0)))
         if there < plan.runs and (stopped := _run(plan, folder, jobs or cores(), quiet)):
             echo(f"stopped: {stopped}: {folder.there} of {plan.runs} runs are done; the same command continues")
             return None

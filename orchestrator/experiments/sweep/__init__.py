@@ -14,6 +14,7 @@ from hedgerow.orchestrator.experiments.sweep.plan import Plan
 from hedgerow.orchestrator.experiments.sweep.progress import collect
 from hedgerow.orchestrator.experiments.sweep.workers import over_processes
 from hedgerow.orchestrator.metrics.verdict import EXIT_CODES, UNKNOWN, VALID
+from hedgerow.topologies.describe import count
 from hedgerow.topologies.errors import Code, Exit, UserError
 from hedgerow.topologies.escape import echo
 
@@ -53,8 +54,7 @@ def _nothing(text: str) -> None:
 
 
 def _counted(plan: Plan) -> str:
-    settings = f"{len(plan.settings)} setting{'s' * (len(plan.settings) != 1)}"
-    return f"{plan.runs} run{'s' * (plan.runs != 1)} ({settings}, {len(plan.seeds)} seeds)"
+    return f"{count(plan.runs, 'run')} ({count(len(plan.settings), 'setting')}, {count(len(plan.seeds), 'seed')})"
 
 
 def _run(plan: Plan, folder: SweepFolder, jobs: int | None, on: str | None, quiet: bool) -> str:

@@ -19,7 +19,7 @@ from hedgerow.orchestrator.runs.folder import write_json
 from hedgerow.topologies import budget
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.json_file import read_json
-from hedgerow.topologies.paths import beside
+from hedgerow.topologies.paths import beside, why_no_folder
 from hedgerow.topologies.regular_file import check_regular
 
 
@@ -52,7 +52,9 @@ class SweepFolder:
                 budget.require(self._lines, _GROWTH * check_regular(self._lines, self.path).st_size)
             self._file = self._lines.open("a+b")
         except OSError as error:
-            raise UserError(f"--out {self.path}: {error.strerror}; name another folder", code=Code.OUTPUT) from None
+            raise UserError(
+                f"--out {self.path}: {why_no_folder(error)}; name another folder", code=Code.OUTPUT
+            ) from None
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
