@@ -130,7 +130,12 @@ def parse(
     named: files of samples that may be elsewhere, because the user named them and not the text. columns: the table of
     the text, in place of its file.
     """
-    source = read_source(name, text)
+    try:
+        source = read_source(name, text)
+    except TopologyError:
+        if (cure := _cure_of_table(name)) is None:
+            raise
+        raise TopologyError(name, [Problem(0, "", "is a table by its name", cure, Code.FILE_FORMAT)]) from None
     source.named.update(named)
     found = _read(source, name, folder, overrides, columns)
     if isinstance(found, Topology):
@@ -140,6 +145,13 @@ def parse(
         blamed = " ".join(map(origin_of, overrides))
         found = Problems(problem if problem.origin else replace(problem, origin=blamed) for problem in found)
     raise TopologyError(name, found)
+
+
+def _cure_of_table(name: str) -> str | None:
+    """Return what to do with a file that has the ending of a table; None for another file."""
+    if FilePath(name).suffix.lower() not in TABLES:
+        return None
+    return f"`{command(['orchestrator', 'import', name])}` makes a topology of a table of edges"
 
 
 def _is_good(name: str, text: bytes, folder: FilePath, columns: table.Table | None) -> bool:
@@ -161,8 +173,7 @@ def _read(
         found = f"a topology is a mapping, this is {as_written(source.value)}"
         text = source.value if isinstance(source.value, str) else ""
         cure = "write a space after each colon" if UNSPACED.match(text) else "start with `name: …`"
-        if FilePath(name).suffix.lower() in TABLES:
-            cure = f"`{command(['orchestrator', 'import', name])}` makes a topology of a table of edges"
+        cure = _cure_of_table(name) or cure
         raise TopologyError(name, [Problem(1, "", found, cure, Code.FILE_FORMAT)])
     _nodes_as_mapping(source)
     for override in overrides:

@@ -191,7 +191,8 @@ def find(run: str | None) -> Entry:
             return found[0]
     which = own or named
     what = f"{len(which)} networks run" + (" from this folder" if own else "") + (f" as {run}" if run else "")
-    raise UserError(f"{what}; name one of them:\n{_listed(which)}", code=Code.NETWORK_AMBIGUOUS)
+    how = "Name one of them, as `orchestrator status NAME` or `orchestrator fault … --run NAME`"
+    raise UserError(f"{what}. {how}:\n{_listed(which)}", code=Code.NETWORK_AMBIGUOUS)
 
 
 def _named(run: str, entries: Sequence[Entry]) -> list[Entry]:

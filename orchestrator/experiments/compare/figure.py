@@ -26,6 +26,8 @@ LABELS = {
 }
 RANGES = {"share_right": (0.0, 1.0), "cost_regret": (-np.inf, np.inf)}
 """the values that a metric can have; the others are at least 0"""
+WIDE = frozenset({"regret", "cost_regret", "gain"})
+"""the metrics that may differ by orders of magnitude between laws"""
 COLUMNS = 3
 ROW_IN, AXIS_IN = 0.22, 0.55
 MARKERS = "osD^vPX"
@@ -83,12 +85,13 @@ def draw(cells: Sequence[Cell]) -> Figure:
             bars.set_label(labels[d])
             shown.append(mean[np.isfinite(mean)])
         values = np.concatenate(shown) if shown else np.empty(0)
-        above = values[values > 0]
-        if metric in ("regret", "gain") and len(above) and above.max() > _DECADES * above.min():
-            least = 10 ** np.floor(np.log10(above.min()))
+        sizes = np.abs(values[values != 0])
+        if metric in WIDE and len(sizes) and sizes.max() > _DECADES * sizes.min():
+            least = 10 ** np.floor(np.log10(sizes.min()))
             axis.set_xscale("symlog", linthresh=least)
             axis.xaxis.get_major_locator().set_params(numticks=6)
-            axis.set_xlim(left=-0.3 * least)
+            if metric not in RANGES:
+                axis.set_xlim(left=-0.3 * least)
         axis.grid(axis="both")
         axis.set_xlabel(LABELS[metric])
     axes[0].set_xlim(-0.05, 1.05)
