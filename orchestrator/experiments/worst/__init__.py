@@ -104,6 +104,10 @@ class Found:
             self.sandwich(),
             f"a run of {self.attack.steps} steps from x(0) = 0 reaches {self.gain:.10g}{held}",
         ]
+        if self.limit < self.guarantee.gamma_star:
+            lines.append(
+                f"no attack found reaches {self.guarantee.gamma_star:.4g}, and the gain of every law is at least that"
+            )
         if self.topology.faults:
             lines.append(f"the faults of this run: {', '.join(self.attack_faults)}")
         if self.faults:
