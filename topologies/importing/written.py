@@ -168,7 +168,8 @@ def _gain(found: Found, options: Options, ids: Sequence[Hashable], assumptions: 
     b = 0.1 if load[worst] <= 0 else _two_digits(math.sqrt(SHARE / (8 * load[worst])))
     assumptions.append(
         f"b = {b:g}: at node {ids[worst]}, 8 b_i² d_i is the largest, and at most {SHARE:g}; condition (3) of the paper"
-        f" needs it below 1; d_i is the sum of the weights at node i; choose another with `--b`, such as `--b {_two_digits(b / 2):g}`"
+        " needs it below 1; d_i is the sum of the weights at node i; choose another with `--b`, such as"
+        f" `--b {_two_digits(b / 2):g}`"
     )
     return b
 
