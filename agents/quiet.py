@@ -198,11 +198,13 @@ class QuietLaw:
         rows = waiting.rows
         rows.append(Row(self.x, [*self.u, *self._nothing]))
         missing, used = waiting.fill(arrivals)
-        samples = waiting.samples_with(missing)
+        counts = waiting.counts_with(missing)
         made = []
         for i, (node, J, now) in enumerate(zip(self._nodes, self._J, states, strict=True)):
             learned = J
-            for k in range(-1 - waiting.samples[i], -samples[i]):
+            # The row of t - 1 is -1. If two samples waited, they are those of rows -3 and -2 now. If one waits
+            # afterwards, that of row -1, then rows -3 and -2 are complete.
+            for k in range(-1 - waiting.counts[i], -counts[i]):
                 x, row = rows[k]
                 learned = _learned(node, learned, row, x[i], now if k == -1 else rows[k + 1].x[i])
             u, ahat, margin = _acted(node, learned, now)
@@ -210,9 +212,9 @@ class QuietLaw:
                 rows.pop()
                 return None
             made.append((learned, u, ahat, margin))
-        most = max(samples)
+        most = max(counts)
         learned_rows = [rows[k] for k in range(-1 - waiting.most, -most)]
-        waiting.missing, waiting.samples, waiting.most = missing, samples, most
+        waiting.missing, waiting.counts, waiting.most = missing, counts, most
         self._J, self.u, estimates, margins = zip(*made, strict=False)
         self.x, self.report = states, estimates + margins
         return used, learned_rows

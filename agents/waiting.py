@@ -65,7 +65,7 @@ class Waiting:
         """the rows of the last steps, the newest last"""
         self.missing: list[int] = [0] * len(self._senders)
         """by incidence: the number of missing rows"""
-        self.samples: list[int] = [0] * view.k
+        self.counts: list[int] = [0] * view.k
         """by node: the number of samples that wait"""
         self.most = 0
         """the greatest of these numbers"""
@@ -124,14 +124,14 @@ class Waiting:
             missing[c] = late
         return missing, bytes(used)
 
-    def samples_with(self, missing: Sequence[int]) -> list[int]:
+    def counts_with(self, missing: Sequence[int]) -> list[int]:
         """Return the number of samples that wait, by node, if these numbers of rows are missing."""
         if self._k == 1:
             return [max(missing, default=0)]
-        samples = [0] * self._k
+        counts = [0] * self._k
         for node, count in zip(self._node, missing, strict=True):
-            samples[node] = max(samples[node], count)
-        return samples
+            counts[node] = max(counts[node], count)
+        return counts
 
     def begin(self, rows: Sequence[tuple[list[float], list[float], bytes]], unlearned: Sequence[int] | None) -> bool:
         """Begin with these last rows: states, inputs, and the Flag bits of the inputs used.
@@ -147,9 +147,9 @@ class Waiting:
                 if own != _OPEN:
                     return False
                 missing[c] += 1
-        samples = self.samples_with(missing)
-        most = max(samples)
-        if most >= min(len(rows), MOST_WAITING) or (unlearned is not None and unlearned != samples):
+        counts = self.counts_with(missing)
+        most = max(counts)
+        if most >= min(len(rows), MOST_WAITING) or (unlearned is not None and unlearned != counts):
             return False
         # A sample that waits needs its readings and open edges.
         for x, _, bits in rows[len(rows) - most :]:
@@ -157,11 +157,11 @@ class Waiting:
                 return False
         self.rows.clear()
         self.rows.extend(Row(x, u) for x, u, _ in rows)
-        self.missing, self.samples, self.most = missing, samples, most
+        self.missing, self.counts, self.most = missing, counts, most
         return True
 
     def hand_over(self) -> tuple[list[tuple[Row, bytes]], list[int]]:
-        """Return the rows with samples that wait, each with the Flag bits of the inputs that it has, and `samples`.
+        """Return the rows with samples that wait, each with the Flag bits of the inputs that it has, and `counts`.
 
         No sample waits after that.
         """
@@ -169,9 +169,9 @@ class Waiting:
             (self.rows[-age], bytes(_OPEN if count >= age else TAKEN for count in self.missing))
             for age in range(self.most, 0, -1)
         ]
-        samples = self.samples
-        self.missing, self.samples, self.most = [0] * len(self.missing), [0] * self._k, 0
-        return rows, samples
+        counts = self.counts
+        self.missing, self.counts, self.most = [0] * len(self.missing), [0] * self._k, 0
+        return rows, counts
 
 
 def _inputs(link: Link | bytes) -> tuple[int, Sequence[float]]:
