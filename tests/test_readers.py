@@ -20,6 +20,8 @@ READERS = {
     "topologies/frames.py": "Parquet in memory",
     "orchestrator/network.py": "YAML in memory, no file",
     "orchestrator/experiments/worst/hunt.py": "numpy reads what `open_regular` opened; and YAML in memory",
+    "wire/limits.py": "numbers of the kernel in /proc and /sys",
+    "topologies/leftovers.py": "numbers of the kernel in /proc",
     "wire/start.py": "/dev/null, in place of a closed standard stream",
     "orchestrator/report/page.py": "a style sheet of the package",
     "orchestrator/facade.py": "Parquet in memory",

@@ -9,6 +9,9 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
+from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.regular_file import check_regular, read_regular
+
 MAX_BYTES, MAX_FILES = 2**20, 1000
 """A larger file, and the files after these, are not looked at: this only helps a message."""
 
@@ -45,10 +48,10 @@ def _module(wanted: str, exact: bool) -> str:
 
 def _classes(file: Path) -> list[str]:
     """Return the classes of a file, those with a method act() or a base class first."""
-    with contextlib.suppress(OSError, ValueError, SyntaxError, RecursionError, MemoryError):
-        if not file.is_file() or file.stat().st_size > MAX_BYTES:
+    with contextlib.suppress(UserError, OSError, ValueError, SyntaxError, RecursionError, MemoryError):
+        if check_regular(file).st_size > MAX_BYTES:
             return []
-        found = [one for one in ast.parse(file.read_bytes()).body if isinstance(one, ast.ClassDef)]
+        found = [one for one in ast.parse(read_regular(file)).body if isinstance(one, ast.ClassDef)]
         return [one.name for one in sorted(found, key=lambda one: not _may_be_law(one))]
     return []
 

@@ -342,10 +342,13 @@ def to_yaml(topology: Topology) -> str:
     return text_beside_table(topology)
 
 
-def text_beside_table(topology: Topology) -> str:
-    """Return the YAML text of a topology; that of a large network refers to its table, `table.NAME`."""
+def text_beside_table(topology: Topology, spelled_out: bool = False) -> str:
+    """Return the YAML text of a topology; that of a large network refers to its table, `table.NAME`.
+
+    With `spelled_out`, the text has the nodes and edges at any size, and needs no table.
+    """
     written = topology.model_dump(mode="json", exclude_none=True, exclude_defaults=True, exclude={"nodes", "edges"})
-    if isinstance(topology.nodes, Nodes):
+    if isinstance(topology.nodes, Nodes) and not spelled_out:
         written["table"] = table.NAME
         written.pop("layout", None)
     else:

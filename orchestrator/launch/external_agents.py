@@ -7,7 +7,6 @@ that is known in advance. The plant refuses a process with another network, rele
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import threading
 import time
 from collections.abc import Iterator, Sequence
@@ -23,7 +22,7 @@ from hedgerow.orchestrator.launch.endpoints import Connection
 from hedgerow.topologies.errors import Code, DeadlineError, HedgerowError, UserError
 from hedgerow.topologies.paths import real_path
 from hedgerow.topologies.regular_file import open_regular
-from hedgerow.topologies.resolve import to_yaml
+from hedgerow.topologies.resolve import digest
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire import keys
 from hedgerow.wire.access import OBSERVER
@@ -73,7 +72,7 @@ class External:
 
 def fingerprint(topology: Topology) -> str:
     """Return a hash of a resolved network, which differs from that of any other network."""
-    return hashlib.sha256(to_yaml(topology).encode()).hexdigest()[:16]
+    return digest(topology)
 
 
 def chosen(

@@ -22,7 +22,7 @@ from hedgerow.orchestrator.runs.folder import RunFolder, write_json
 from hedgerow.orchestrator.views.rerun.viewer import Viewer, start
 from hedgerow.topologies.errors import HedgerowError, UserError
 from hedgerow.topologies.regular_file import open_regular
-from hedgerow.topologies.resolve import to_yaml
+from hedgerow.topologies.resolve import text_beside_table
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire import crash
 from hedgerow.wire.limits import limit_reached
@@ -200,7 +200,7 @@ class Recording:
             self._replaying.do(lambda: self._change_replayed(topology))
         part = self.folder.topology.with_name("topology.yaml.part")
         try:
-            part.write_text(to_yaml(topology), encoding="utf-8")
+            part.write_text(text_beside_table(topology), encoding="utf-8")
             part.rename(self.folder.topology)
         finally:
             part.unlink(missing_ok=True)

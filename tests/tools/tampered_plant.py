@@ -90,7 +90,7 @@ class OtherA(_Changed):
 
 
 class OtherB(_Changed):
-    """Moves by another gain b."""
+    """Moves by another input gain b."""
 
     def changed(self, truth: Truth) -> Truth:
         return replace(truth, b=truth.b * (1 + 1e-9))

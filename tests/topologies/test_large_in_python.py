@@ -10,6 +10,7 @@ import pytest
 
 import hedgerow as hg
 from hedgerow.orchestrator.deploy.containers import containers
+from hedgerow.orchestrator.experiments.worst import worst
 from hedgerow.orchestrator.ground.assignment import layout
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.nodes import SPELLED_OUT
@@ -63,3 +64,19 @@ def test_no_container_is_given_a_file_that_it_cannot_read() -> None:
     with pytest.raises(UserError) as refused:
         containers(network, layout(network, 2), "hedgerow/large", 0.0, 10**9)
     assert refused.value.code == Code.TOPOLOGY
+
+
+def test_the_worst_disturbance_is_sought_too(here: Path) -> None:
+    found = worst(hg.load(LARGE), 0.1, steps=100, out=Path("worst.yaml"))
+    assert hg.simulate("worst.yaml").gain[-1] == pytest.approx(found.gain, rel=1e-9)
+
+
+@pytest.mark.slow
+def test_a_fault_of_the_running_network_is_in_its_file(here: Path) -> None:
+    with hg.start(hg.load(LARGE, steps=100_000), processes=2) as live:
+        live.fault.drop((1, 2), steps=range(5))
+        live.wait_for_step(30)
+        folder = live.folder
+    run = hg.load_run(folder)
+    assert [one.kind for one in run.topology.faults] == ["drop"]
+    assert run.verdict.verdict != "INVALID"

@@ -23,7 +23,7 @@ from hedgerow.topologies.faults import Cut, Drop, FaultModel
 from hedgerow.topologies.graph import Array
 from hedgerow.topologies.load import parse
 from hedgerow.topologies.paths import beside
-from hedgerow.topologies.resolve import resolve, to_yaml
+from hedgerow.topologies.resolve import resolve, text_beside_table
 from hedgerow.topologies.schema import Topology
 
 KINDS = (Kind(1, True), Kind(4, True), Kind(6, False), Kind(8, False), Kind(12, False), Kind(20, False))
@@ -301,7 +301,7 @@ class Hunt:
 
     def topology_of(self, attack: Attack) -> Topology:
         """Return the network under an attack, from x(0) = 0."""
-        raw = yaml.safe_load(to_yaml(self.topology))
+        raw = yaml.safe_load(text_beside_table(self.topology, spelled_out=True))
         raw["steps"] = attack.steps
         for k, own in enumerate(raw["nodes"].values()):  # in the order of the file, which is that of every array
             value = attack.w[:, k]
