@@ -272,6 +272,8 @@ class QuietForms:
     def __init__(self, k: int, audience: Sequence[Sequence[int] | None]) -> None:
         """`audience` are, by link message, the nodes in it, None for all."""
         self._state = Form(Kind.STATE, k, k)
+        self.quiet_bytes = self._state.size
+        """the size of a state message without flags"""
         self._input = Form(Kind.INPUT, k, (1 + REPORT_ROWS) * k)
         sizes = [k if nodes is None else len(nodes) for nodes in audience]
         self._links = [(Form(Kind.LINK, n, 2 * n), nodes) for n, nodes in zip(sizes, audience, strict=True)]

@@ -164,10 +164,14 @@ class Shard:
         Return None, with nothing changed, if they cannot: then decode the message and call `answer`.
         """
         quiet = self._quiet
-        if quiet is None or not quiet.has_memory or (state := self._forms.state(message, self.t + 1, self.m)) is None:
+        if quiet is None or not quiet.has_memory:
+            return None
+        if not quiet.has_waiting and len(message) == self._forms.quiet_bytes:
+            return None  # a quiet state, often before its link messages: do not take it apart once more
+        if (state := self._forms.state(message, self.t + 1, self.m)) is None:
             return None
         x, flags, spans = state
-        if not (flags or quiet.has_waiting) or not self._step_with_gaps(x, flags, spans, quiet):
+        if not self._step_with_gaps(x, flags, spans, quiet):
             return None
         return self._packed(flags, spans, quiet) or self.messages(State(self.t, self.x, flags, spans))
 
