@@ -19,7 +19,7 @@ def ceiling(run: Run) -> Array:
     """Return the least bound on the gain that holds at each step, NaN without one, (T,)."""
     least = np.full(run.T, np.nan)
     for premise in Premise:
-        bound = _bound(run, premise)
+        bound = bound_of(run, premise)
         if isinstance(bound.get("gain"), float) and isinstance(bound.get("steps"), int):
             covered = least[: max(0, bound["steps"])]
             np.fmin(covered, bound["gain"], out=covered)
@@ -28,7 +28,7 @@ def ceiling(run: Run) -> Array:
 
 def slack(run: Run, premise: str) -> Array:
     """Return the slack of the certificate of the law at each step, (T,); see `Run.certificate_slack`."""
-    bound = _bound(run, premise)
+    bound = bound_of(run, premise)
     run.need_all("the slack of a certificate")
     if not isinstance(bound.get("p"), list) or len(bound["p"]) != len(run.ids):
         raise UserError(f"{run.folder}: verdict.json has no bound under the premise {premise!r}", code=Code.FILE_FORMAT)
@@ -50,7 +50,7 @@ def computed_slack(run: Run) -> Array:
     found = np.full(run.T, np.nan)
     # The strongest premise last: where it holds, its bound is the least.
     for premise in reversed(Premise):
-        if isinstance(_bound(run, premise).get("p"), list):
+        if isinstance(bound_of(run, premise).get("p"), list):
             own = slack(run, premise)
             found = np.where(np.isnan(own), found, own)
     return found
@@ -61,7 +61,7 @@ def is_recorded(run: Run) -> bool:
     return "summary" in run.tables and "ceiling_slack" in run.tables["summary"].schema.names
 
 
-def _bound(run: Run, premise: str) -> Mapping[str, Any]:
+def bound_of(run: Run, premise: str) -> Mapping[str, Any]:
     """Return the entry of one bound in the verdict; empty if there is none."""
     found: Any = run.verdict.content
     for key in ("gain_bounds", "bounds", premise):

@@ -12,11 +12,11 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from hedgerow.orchestrator.metrics.fault_accounts import at_ends
+from hedgerow.orchestrator.metrics.gain_bound import Premise
 from hedgerow.orchestrator.metrics.observer import Batch, Observer
 from hedgerow.orchestrator.metrics.replay import Finding
 from hedgerow.orchestrator.metrics.verdict import VALID
-from hedgerow.orchestrator.runs.guaranteed import ceiling, computed_slack, slack
+from hedgerow.orchestrator.runs.guaranteed import bound_of, ceiling, computed_slack, slack
 from hedgerow.orchestrator.runs.writer import CLAIMS, end_summary, id_column, summary
 from hedgerow.topologies.graph import Index, Mask
 from hedgerow.wire.message import End
@@ -84,10 +84,7 @@ def _of_summary(run: Run, batch: Batch, observer: Observer) -> Iterator[Finding]
     columns = {name: table.column(name).to_numpy() for name in table.column_names}
     if len(columns.get("step", ())) < len(batch.t):  # it ended before the other tables
         return
-    ends = at_ends(run.topology.graph)
-    links = np.empty((run.T, ends.size), dtype=np.bool_)
-    links[:, ends[:, 0]], links[:, ends[:, 1]] = run.i_hears, run.j_hears
-    right: dict[str, NDArray[Any]] = summary(dataclasses.replace(batch, link_up=links[batch.t]))
+    right: dict[str, NDArray[Any]] = summary(dataclasses.replace(batch, link_up=run.received[batch.t]))
     for name in set(columns) & set(right) - set(CLAIMS):
         yield from _first(run, name, right[name], columns[name][: len(batch.t)], batch.t)
     if len(columns["step"]) > len(batch.t):
@@ -104,23 +101,21 @@ def _of_claims(run: Run, columns: dict[str, NDArray[Any]], steps: Index) -> Iter
         return
     bound, claimed = (columns[name][: len(steps)] for name in CLAIMS)
     known, near = np.isnan(bound), np.isnan(claimed)
-    for premise in _premises(run):
+    for premise, gain in _gains(run):
         own = slack(run, premise)[steps]
         near |= np.isclose(own, claimed, rtol=_CLOSE, atol=_CLOSE * run.cost_sum[steps])
         # Of two bounds that are equal except for the tolerance of the solver, either can be the recorded one.
-        known |= np.isclose(_premises(run)[premise], bound, rtol=_CLOSE)
+        known |= np.isclose(gain, bound, rtol=_CLOSE)
     yield from _first(run, CLAIMS[0], ceiling(run)[steps], bound, steps, missing=known)
     yield from _first(run, CLAIMS[1], computed_slack(run)[steps], claimed, steps, missing=near)
 
 
-def _premises(run: Run) -> dict[str, float]:
-    """Return the gain of every bound in the verdict, by premise."""
-    bounds = (run.verdict.content.get("gain_bounds") or {}).get("bounds") or {}
-    return {
-        name: float(bound["gain"])
-        for name, bound in bounds.items()
-        if isinstance(bound, dict) and isinstance(bound.get("p"), list) and isinstance(bound.get("gain"), float)
-    }
+def _gains(run: Run) -> Iterator[tuple[Premise, float]]:
+    """Yield every premise with a bound in the verdict, and the gain of the bound."""
+    for premise in Premise:
+        bound = bound_of(run, premise)
+        if isinstance(bound.get("p"), list) and isinstance(bound.get("gain"), float):
+            yield premise, bound["gain"]
 
 
 def _of_verdict(run: Run, observer: Observer) -> Iterator[Finding]:

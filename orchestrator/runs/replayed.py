@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hedgerow.orchestrator.metrics.fault_accounts import at_ends
 from hedgerow.orchestrator.metrics.observer import Batch, Observer
 from hedgerow.orchestrator.metrics.replay import Finding, Replay
 from hedgerow.orchestrator.runs.recomputed import TABLES, first_other
@@ -45,9 +44,7 @@ def _first_computed(run: Run) -> Finding | None:
 
 
 def _first_replayed(run: Run) -> Finding | None:
-    links = np.empty((run.T, 2 * len(run.edges)), dtype=np.uint8)
-    ends = at_ends(run.topology.graph)
-    links[:, ends[:, 0]], links[:, ends[:, 1]] = run.i_hears, run.j_hears
+    links = run.received.view(np.uint8)
     report = np.stack([run.ahat, run.margin], axis=1)
     replay = Replay(run.topology, receipts=False)
     replay.take(

@@ -18,7 +18,6 @@ from rerun.chunk import RrdReader
 from hedgerow.orchestrator.ground.foreign_stderr import foreign_stderr
 from hedgerow.orchestrator.ground.signals import Interrupts
 from hedgerow.orchestrator.ground.spelling import spelled
-from hedgerow.orchestrator.metrics.fault_accounts import at_ends
 from hedgerow.orchestrator.metrics.observer import Observer
 from hedgerow.orchestrator.runs import registry
 from hedgerow.orchestrator.runs.files import check_file, find_run, load_resolved
@@ -180,10 +179,8 @@ def _replay(run: Run, viewer: Viewer, say: Say, go_on: Callable[[], bool]) -> No
     observer.change(run.topology)
     for line in filter(None, map(event_line, run.events)):
         stream.event(*line)
-    ends = at_ends(run.topology.graph)
-    used = np.full(ends.size, TAKEN, np.uint8)
-    received = np.ones((run.T, ends.size), np.uint8)
-    received[:, ends[:, 0]], received[:, ends[:, 1]] = run.i_hears, run.j_hears
+    received = run.received.view(np.uint8)
+    used = np.full(received.shape[1], TAKEN, np.uint8)
     report = np.stack([run.ahat, run.margin], axis=1)
     steps = np.setdiff1d(np.arange(run.T), run.lost)
     for some in np.array_split(steps, -(-len(steps) // READ_STEPS)):
