@@ -70,11 +70,6 @@ class External:
         return ", ".join(self.names)
 
 
-def fingerprint(topology: Topology) -> str:
-    """Return a hash of a resolved network, which differs from that of any other network."""
-    return digest(topology)
-
-
 def chosen(
     asked: str,
     topology: Topology,
@@ -124,7 +119,7 @@ def chosen(
         plant,
         [*([keys.PLANT] if plant else []), *(names[p] for p in sorted(wanted))],
         namespace,
-        fingerprint(topology),
+        digest(topology),
         listen,
         wait_s,
     )
@@ -139,7 +134,7 @@ def local(endpoint: str, here: str = "127.0.0.1") -> str:
 
 def configs(topology: Topology, shards: Layout, router: str, namespace: str) -> list[Config]:
     """Return the config of each process, the plant first; see `orchestrator bundle`."""
-    network = fingerprint(topology)
+    network = digest(topology)
     parts = {keys.PLANT: truth_of(topology, shards).to_dict()}
     views = views_of(topology, shards, source_digest(topology.law))
     parts |= {process_name(view): view.to_dict() for view in views}

@@ -123,7 +123,8 @@ class Launch:
         stack.callback(self._fork_client.clear)
         external = self._options.external
         ours = [view for view in self.views if external is None or view.shard not in external]
-        memories = self._memories(ours, stack) if external is None or not external.plant else {}
+        is_plant_ours = external is None or not external.plant
+        memories = self._memories(ours, stack) if is_plant_ours else {}
         processes = Processes(self._fork_client, self._folder, connection, memories)
         if connection.listens:  # without this, agents that the router cannot accept would be restarted for a minute
             need(f"a plant with {len(self.views)} agent processes", open_files=len(self.views) + ROUTER_FILES)
@@ -132,7 +133,7 @@ class Launch:
         shared: SharedRows | None = None
         # Start no process if there is no router.
         session = None if connection.listens else self._connect(processes, interrupts, stack)
-        if external is None or not external.plant:
+        if is_plant_ours:
             if session is not None:  # nor if another network runs there
                 stack.enter_context(room(session, connection.namespace, self._screen.say, lambda: interrupts.count > 0))
                 if interrupts.count:
