@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -83,9 +83,9 @@ class Scratch:
         self.python = (str(preloaded.SESSION.programs / "program"),)
         self.environment["PATH"] = f"{preloaded.SESSION.programs}{os.pathsep}{self.environment['PATH']}"
 
-    def run(self, *command: str) -> tuple[int, str]:
-        """The exit code of a command, and all that it printed."""
-        ran = subprocess.run(
+    def _started(self, command: Sequence[str], alone: bool = False) -> subprocess.Popen[str]:
+        """A command that runs, with its output as one text; `alone` gives it a session, and so a group to kill."""
+        return subprocess.Popen(
             command,
             cwd=self.folder,
             env=self.environment,
@@ -93,26 +93,25 @@ class Scratch:
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
-            timeout=COMMAND_DEADLINE_S,
-            check=False,
+            start_new_session=alone,
         )
-        return ran.returncode, ran.stdout
+
+    def run(self, *command: str) -> tuple[int, str]:
+        """The exit code of a command, and all that it printed."""
+        with self._started(command) as process:
+            try:
+                printed, _ = process.communicate(timeout=COMMAND_DEADLINE_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                raise
+        return process.returncode, printed
 
     def run_command(self, command: str) -> tuple[int, str]:
         """The same for a command of a page in a shell; a network with a rate soon runs without it."""
         shell = ("bash", "-o", "pipefail", "-c", command)
         if "--rate" not in command or "--detach" in command:
             return self.run(*shell)
-        with subprocess.Popen(
-            shell,
-            cwd=self.folder,
-            env=self.environment,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            start_new_session=True,
-        ) as process:
+        with self._started(shell, alone=True) as process:
             assert process.stdout is not None
             end = threading.Timer(COMMAND_DEADLINE_S, os.killpg, (process.pid, signal.SIGKILL))
             end.start()
