@@ -54,7 +54,10 @@ def control(b: Array, x: Array, ahat: Array) -> Array:
 def learn(
     J: Array, candidates: Array, b: Array, x: Array, flow: Array, x_next: Array, ahat: Array, margin: Array
 ) -> None:
-    """Update J and choose the estimate again, as `kernels.learn` does."""
+    """Update J and choose the estimate again, as `kernels.learn` does.
+
+    The loops are those of `kernels.learn` once more: as one function for both, they took up to 1.5 times as long.
+    """
     M, k = J.shape
     y, least = np.empty(BLOCK), np.empty(BLOCK)
     # The innermost loop runs over nodes that are side by side, so that one instruction handles several of them. Slices
