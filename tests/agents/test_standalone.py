@@ -15,7 +15,8 @@ import pytest
 
 from hedgerow.wire.session import open_router
 from tests.tools.processes import DEADLINE_S, Orchestrator, gone, orchestrator, parquet_bytes
-from tests.tools.standalone import UP, bundle, endpoint, start, verdict
+from tests.tools.standalone import UP, bundle, endpoint, start
+from tests.tools.verdicts import verdict_of
 
 __all__ = ["endpoint", "start"]
 
@@ -26,7 +27,7 @@ def test_two_agents_started_elsewhere_change_nothing(here: Path, endpoint: str, 
     with Orchestrator("up", "paper7", "--external", "3, agent-5", "--listen", endpoint, *UP) as network:
         assert network.wait() == 0, network.output
         assert network.children.keys() == {"plant", *(f"agent-{name}" for name in (1, 2, 4, 6, 7))}
-    assert verdict()["checks"]["reference"]["ok"]
+    assert verdict_of()["checks"]["reference"]["ok"]
     assert [agent.wait()[0] for agent in agents] == [0, 0]
 
 
@@ -68,8 +69,8 @@ def test_a_restarted_agent_continues_at_the_current_step(here: Path, endpoint: s
         network.wait_for("going on without agent 3: its process died")
         network.wait_for("agent 3 is back")
         assert network.wait() == 0, network.output
-    assert verdict()["verdict"] == "valid"
-    assert verdict()["checks"]["reference"]["ok"]
+    assert verdict_of()["verdict"] == "valid"
+    assert verdict_of()["checks"]["reference"]["ok"]
     assert second.wait()[0] == 0
 
 
@@ -79,7 +80,7 @@ def test_a_planned_crash_of_an_agent_elsewhere_ends_no_process(here: Path, endpo
     agent = start("agents", "--config", "lab/agent-3.toml")
     with Orchestrator("up", "paper7", "--set", crash, "--external", "3", "--listen", endpoint, *UP) as network:
         assert network.wait() == 0, network.output
-    assert verdict()["checks"]["reference"]["ok"]
+    assert verdict_of()["checks"]["reference"]["ok"]
     assert agent.wait()[0] == 0
 
 
@@ -124,8 +125,8 @@ def test_an_agent_that_a_killed_run_left_behind_makes_room_for_the_next(here: Pa
         again = start("agents", "--config", "lab/agent-3.toml")
         assert network.wait() == 0, network.output
         assert again.wait()[0] == 0
-    assert verdict()["verdict"] == "valid"
-    assert verdict()["checks"]["reference"]["ok"]
+    assert verdict_of()["verdict"] == "valid"
+    assert verdict_of()["checks"]["reference"]["ok"]
 
 
 def test_an_agent_that_waits_at_the_end_of_a_run_does_not_join_the_next(here: Path, endpoint: str, start: Any) -> None:
@@ -146,7 +147,7 @@ def test_an_agent_that_waits_at_the_end_of_a_run_does_not_join_the_next(here: Pa
     # It was refused; or, where that run was over before it asked, it waits for the next.
     of_seed_1.send(signal.SIGTERM)
     assert "ready" not in of_seed_1.wait()[1]
-    assert verdict()["checks"]["reference"]["ok"]
+    assert verdict_of()["checks"]["reference"]["ok"]
 
 
 def test_one_of_two_agents_for_one_place_gets_it(here: Path, endpoint: str, start: Any) -> None:
@@ -159,8 +160,8 @@ def test_one_of_two_agents_for_one_place_gets_it(here: Path, endpoint: str, star
         five = start("agents", "--config", "lab/agent-5.toml")
         assert network.wait() == 0, network.output
         assert five.wait()[0] == 0
-    assert verdict()["verdict"] == "valid"
-    assert verdict()["checks"]["information"]["ok"], "every received message was sent"
+    assert verdict_of()["verdict"] == "valid"
+    assert verdict_of()["checks"]["information"]["ok"], "every received message was sent"
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["int", "term"])

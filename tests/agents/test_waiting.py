@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Sequence
 from typing import Any
 from unittest import mock
 
@@ -13,6 +14,7 @@ from hypothesis import strategies as st
 
 from hedgerow.agents.samples import Samples
 from hedgerow.agents.shard import Shard
+from hedgerow.agents.view import View
 from hedgerow.orchestrator.ground.assignment import layout, truth_of, views_of
 from hedgerow.plant.world import World
 from hedgerow.topologies.load import load
@@ -96,14 +98,31 @@ def test_a_link_that_is_down_for_long_has_the_bits_of_the_general_path(processes
     check_same_bits(topology, layout(topology, processes), 2)
 
 
-@pytest.mark.parametrize("processes", [3, 7])
-def test_messages_of_steps_with_gaps_are_those_of_the_general_path(processes: int) -> None:
+def both_ways(processes: int) -> tuple[list[View], World, list[Shard], list[Shard]]:
+    """Return the views and the plant of a network with lost and late messages; and its shards, twice.
+
+    The second shards make every step by the general path.
+    """
     topology = dropping("{kind: delay, link: [2, 3], by: 2, steps: [20, 40]}")
     assignment = layout(topology, processes)
     views, world = views_of(topology, assignment), World(truth_of(topology, assignment))
     with general_path():
         others = [Shard(view) for view in views]
-    ours = [Shard(view) for view in views]
+    return views, world, [Shard(view) for view in views], others
+
+
+def deliver(sent: Sequence[tuple[View, int, bytes]], views: Sequence[View], *networks: Sequence[Shard]) -> None:
+    """Give each message, with the view of its sender and the receiving peer there, to the shards of each network."""
+    for view, peer, link in sent:
+        receiver = view.peers[peer].shard
+        back = [other.shard for other in views[receiver].peers].index(view.shard)
+        for shards in networks:
+            shards[receiver].receive_message(back, link)
+
+
+@pytest.mark.parametrize("processes", [3, 7])
+def test_messages_of_steps_with_gaps_are_those_of_the_general_path(processes: int) -> None:
+    views, world, ours, others = both_ways(processes)
     in_floats = 0
     for _ in range(60):
         world.begin()
@@ -119,11 +138,7 @@ def test_messages_of_steps_with_gaps_are_those_of_the_general_path(processes: in
             assert (links, answer) == other.messages(own)
             sent += [(view, peer, link) for peers, link in links for peer in peers]
             inputs.append(answer)
-        for view, peer, link in sent:
-            receiver = view.peers[peer].shard
-            back = [other.shard for other in views[receiver].peers].index(view.shard)
-            for shards in (ours, others):
-                shards[receiver].receive_message(back, link)
+        deliver(sent, views, ours, others)
         report = np.concatenate([one.report for one in ours], axis=1)
         world.step(np.concatenate([one.u for one in ours]), report, [one.used for one in ours])
     assert in_floats > 30 * processes
@@ -132,12 +147,8 @@ def test_messages_of_steps_with_gaps_are_those_of_the_general_path(processes: in
 @pytest.mark.parametrize("processes", [3, 7])
 def test_answers_with_gaps_are_those_of_the_general_path(processes: int) -> None:
     """The bytes of a state message give the bytes of the answer, whichever way makes it."""
-    topology = dropping("{kind: delay, link: [2, 3], by: 2, steps: [20, 40]}")
-    assignment = layout(topology, processes)
-    views, world = views_of(topology, assignment), World(truth_of(topology, assignment))
-    with general_path():
-        others = [Shard(view) for view in views]
-    ours, at_once = [Shard(view) for view in views], 0
+    views, world, ours, others = both_ways(processes)
+    at_once = 0
     for _ in range(60):
         world.begin()
         sent = []
@@ -154,11 +165,7 @@ def test_answers_with_gaps_are_those_of_the_general_path(processes: int) -> None
             assert answer == other.messages(own)
             assert one.answer_with_gaps(message) is None, "the same state again"
             sent += [(view, peer, link) for peers, link in answer[0] for peer in peers]
-        for view, peer, link in sent:
-            receiver = view.peers[peer].shard
-            back = [other.shard for other in views[receiver].peers].index(view.shard)
-            for shards in (ours, others):
-                shards[receiver].receive_message(back, link)
+        deliver(sent, views, ours, others)
         report = np.concatenate([one.report for one in others], axis=1)
         world.step(np.concatenate([one.u for one in others]), report, [one.used for one in others])
     assert at_once > 30 * processes

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import signal
 import threading
@@ -79,9 +78,3 @@ def bundle(endpoint: str, *arguments: str) -> None:
     """Write the files of the processes of paper7 to the folder lab."""
     done = orchestrator("bundle", "paper7", "--out", "lab", "--router", endpoint, *arguments)
     assert done.returncode == 0, done.stderr
-
-
-def verdict() -> dict[str, Any]:
-    """Return the verdict of the latest run."""
-    found: dict[str, Any] = json.loads(Path("runs/latest/verdict.json").read_text())
-    return found

@@ -11,6 +11,7 @@ import zenoh
 from hedgerow.wire import keys
 from hedgerow.wire.session import close, open_client, subscriber
 from tests.tools.processes import Orchestrator, orchestrator
+from tests.tools.verdicts import verdict_of
 
 
 def test_telemetry_that_arrives_twice_leaves_a_run_valid(here: Path) -> None:
@@ -32,7 +33,7 @@ def test_telemetry_that_arrives_twice_leaves_a_run_valid(here: Path) -> None:
         echo = subscriber(session, keys.TELEMETRY, copy)
         assert network.wait() == 0, network.output
         del echo
-    verdict = json.loads((here / "runs/latest/verdict.json").read_text())
+    verdict = verdict_of(here / "runs/latest")
     assert verdict["verdict"] == "valid"
     assert verdict["checks"]["information"]["ok"]
     telemetry, _ = verdict["information"]["observer"]

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import signal
 import tempfile
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -21,12 +19,9 @@ from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
 from tests.tools.networks import simulate
 from tests.tools.processes import Orchestrator, orchestrator, parquet_bytes
+from tests.tools.verdicts import verdict_of
 
 UP = ("--viewer", "none", "--no-record", "--verify")
-
-
-def verdict() -> dict[str, Any]:
-    return dict(json.loads(Path("runs/latest/verdict.json").read_text(encoding="utf-8")))
 
 
 @pytest.mark.parametrize(
@@ -43,8 +38,8 @@ def verdict() -> dict[str, Any]:
 def test_a_fault_that_ends_with_the_run_is_valid_and_equal_to_the_reference(here: Path, faults: str) -> None:
     done = orchestrator("up", "paper7", *UP, "--set", f"faults=[{faults}]")
     assert done.returncode == 0, done.stdout + done.stderr
-    assert verdict()["steps_done"] == 30
-    assert verdict()["checks"]["reference"]["ok"]
+    assert verdict_of()["steps_done"] == 30
+    assert verdict_of()["checks"]["reference"]["ok"]
 
 
 def test_a_signal_while_the_reference_is_computed_is_no_verdict_on_the_run(
@@ -56,9 +51,9 @@ def test_a_signal_while_the_reference_is_computed_is_no_verdict_on_the_run(
         network.wait_until(lambda: any((here / "t").glob("hedgerow-*/reference/telemetry.*")))
         network.send(signal.SIGINT)
         assert network.wait() == 3, network.output
-    assert verdict()["verdict"] == "unknown"
-    assert verdict()["steps_done"] == 3000
-    assert "reference" not in verdict()["checks"]
+    assert verdict_of()["verdict"] == "unknown"
+    assert verdict_of()["steps_done"] == 3000
+    assert "reference" not in verdict_of()["checks"]
     assert not list((here / "t").iterdir())
 
 
@@ -124,7 +119,7 @@ def test_ctrl_c_after_the_last_step_changes_nothing(here: Path) -> None:
         network.wait_until(lambda: last_step_is_recorded(39))
         network.send(signal.SIGINT)
         assert network.wait() == 0, network.output
-    assert verdict()["steps_done"] == 40
+    assert verdict_of()["steps_done"] == 40
 
 
 def last_step_is_recorded(step: int) -> bool:
@@ -136,7 +131,7 @@ def test_steps_recorded_before_a_full_disk_can_be_exported(here: Path) -> None:
     """The first rows arrive together: rows that do not fit must not affect the others."""
     full = orchestrator("simulate", "paper7", "--steps", "3000", "--no-record", largest=150_000)
     assert full.returncode == 3, full.stdout + full.stderr
-    assert verdict()["verdict"] == "unknown"
+    assert verdict_of()["verdict"] == "unknown"
     done = orchestrator("export", "runs/latest", "--to", "csv", "--out", "tables")
     assert done.returncode == 0, done.stderr
     assert load_run("runs/latest").T >= 64

@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from hedgerow.orchestrator.testing.scenario import Networks
 from tests.tools.processes import COMMAND, DEADLINE_S, orchestrator
+from tests.tools.verdicts import verdict_of
 
 UP = ("--viewer", "none", "--no-record", "--verify")
-
-
-def verdict() -> dict[str, Any]:
-    return dict(json.loads(Path("runs/latest/verdict.json").read_text(encoding="utf-8")))
 
 
 @pytest.mark.parametrize("at", [28, 29])
@@ -26,8 +21,8 @@ def test_a_process_with_a_crash_until_the_end_of_the_run(at: int, here: Path) ->
     faults = f"faults=[{{kind: crash, process: 1, at: {at}, restart_after: {30 - at}}}]"
     done = orchestrator("up", "paper7", "--processes", "3", *UP, "--set", faults)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert verdict()["steps_done"] == 30
-    assert verdict()["checks"]["reference"]["ok"]
+    assert verdict_of()["steps_done"] == 30
+    assert verdict_of()["checks"]["reference"]["ok"]
 
 
 @pytest.mark.parametrize("before", [1, 2])
@@ -80,7 +75,7 @@ def test_a_full_disk_while_the_reference_is_computed(here: Path) -> None:
         check=False,
     )
     assert done.returncode == 3, done.stdout + done.stderr
-    content = verdict()
+    content = verdict_of()
     assert (content["verdict"], content["steps_done"]) == ("unknown", 3000)
     assert "reference" not in content["checks"]
     assert "not compared" in " ".join(content["reasons"])

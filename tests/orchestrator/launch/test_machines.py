@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
 
 from tests.tools.machines import ROUTER, SECURE_ROUTER, Machines, Program, machines
 from tests.tools.processes import Orchestrator, orchestrator, parquet_bytes
+from tests.tools.verdicts import verdict_of
 
 pytestmark = pytest.mark.slow
 LEFT, RIGHT = (1, 2, 3), (4, 5, 6, 7)
@@ -81,11 +80,6 @@ def carry(what: str, machine: str) -> Path:
     return folder
 
 
-def verdict() -> dict[str, Any]:
-    found: dict[str, Any] = json.loads(Path("runs/latest/verdict.json").read_text())
-    return found
-
-
 def test_a_secure_network_loses_only_time_when_a_cable_is_unplugged_for_five_seconds(ordinary: Machines) -> None:
     """The deadline is longer than the default: if this test reconnects the cable late, TCP also retries later."""
     with Network(ordinary, 300, "--rate", "100", "--deadline", "20", secure=True) as network:
@@ -96,9 +90,9 @@ def test_a_secure_network_loses_only_time_when_a_cable_is_unplugged_for_five_sec
         assert time.monotonic() - pulled_at > 5
         ordinary.cable("left", "up")
         assert network.wait() == 0, network.output
-    assert verdict()["verdict"] == "valid"
-    assert verdict()["missing_inputs"] == verdict()["lost_rows"] == 0
-    assert verdict()["checks"]["reference"]["ok"]
+    assert verdict_of()["verdict"] == "valid"
+    assert verdict_of()["missing_inputs"] == verdict_of()["lost_rows"] == 0
+    assert verdict_of()["checks"]["reference"]["ok"]
     assert orchestrator("simulate", "paper7", "--steps", "300", "--run-dir", "local", "--no-record").returncode == 0
     assert parquet_bytes(Path("local")) == parquet_bytes(Path("runs/latest"))
 
@@ -110,9 +104,9 @@ def test_a_lost_machine_closes_its_edges(lab: Machines) -> None:
         for name in LEFT:
             network.wait_for(f"going on without agent {name}")
         assert network.wait() == 0, network.output
-    assert verdict()["steps_done"] == 200
-    assert verdict()["lost_rows"] == 0
-    assert verdict()["checks"]["reference"]["ok"]
+    assert verdict_of()["steps_done"] == 200
+    assert verdict_of()["lost_rows"] == 0
+    assert verdict_of()["checks"]["reference"]["ok"]
     last = pq.read_table("runs/latest/edges.parquet").to_pylist()[-6:]
     carries = {(edge["i"], edge["j"]): edge["open"] for edge in last}
     assert carries == {(i, j): i in RIGHT and j in RIGHT for i, j in carries}

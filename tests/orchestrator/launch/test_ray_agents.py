@@ -29,6 +29,7 @@ from hedgerow.topologies.errors import Code
 from tests.tools.machines import Machines, Program, machines
 from tests.tools.processes import Orchestrator, gone, orchestrator, parquet_bytes, run_here
 from tests.tools.refusals import refusal
+from tests.tools.verdicts import verdict_of
 
 HAVE_RAY = importlib.util.find_spec("ray") is not None
 needs_ray = pytest.mark.skipif(not HAVE_RAY, reason="Ray is not installed: pip install 'hedgerow[ray]'")
@@ -134,11 +135,6 @@ def environment(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv(name, value)
 
 
-def verdict() -> dict[str, Any]:
-    found: dict[str, Any] = json.loads(Path("runs/latest/verdict.json").read_text())
-    return found
-
-
 def events(kind: str) -> list[dict[str, Any]]:
     lines = Path("runs/latest/events.jsonl").read_text().splitlines()
     return [event for event in map(json.loads, lines) if event["event"] == kind]
@@ -154,8 +150,8 @@ def test_agents_on_two_machines_of_a_cluster_change_nothing(
     with Orchestrator("up", *arguments, *UP, inside=cluster.on("bench")) as network:
         assert network.wait() == 0, network.output
         assert network.children.keys() == {"plant"}
-    assert verdict()["verdict"] == "valid"
-    assert verdict()["checks"]["reference"]["ok"]
+    assert verdict_of()["verdict"] == "valid"
+    assert verdict_of()["checks"]["reference"]["ok"]
     assert gone({event["process"]: event["pid"] for event in events("placed")})
     assert {event["machine"] for event in events("placed")} == {cluster.address["head"], cluster.address["other"]}
     for shard in range(2):
@@ -212,14 +208,14 @@ def test_ray_restarts_a_killed_agent_and_those_of_a_lost_machine(
         )
         assert printed.process.wait() == 0, printed.log.read_text()
         assert network.wait() == 0, network.output
-    assert verdict()["verdict"] == "valid"
-    assert verdict()["checks"]["reference"]["ok"]
+    assert verdict_of()["verdict"] == "valid"
+    assert verdict_of()["checks"]["reference"]["ok"]
     assert events("start")[0]["endpoint"].startswith("tcp/")
     first, *rest = events("restarted")
     assert first["process"] == victim["process"]
     assert {event["process"] for event in rest} == lost
     assert {event["machine"] for event in rest} == {cluster.address["head"]}
-    assert verdict()["restarts"] == 1 + len(lost)
+    assert verdict_of()["restarts"] == 1 + len(lost)
     log = Path(f"runs/latest/logs/{victim['process']}.log").read_text()
     assert log.count("looking for") == 2, log
 
@@ -237,7 +233,7 @@ def test_ctrl_c_leaves_nothing_of_a_cluster_that_we_started(environment: None) -
         up.send(signal.SIGINT)
         assert up.wait() == 3, up.output
         assert gone(started)
-    assert verdict()["steps_done"] > 0
+    assert verdict_of()["steps_done"] > 0
 
 
 @needs_ray

@@ -25,6 +25,7 @@ from hedgerow.wire.message import Link
 from hedgerow.wire.session import close, open_client
 from tests.tools.processes import QUIET, Orchestrator, orchestrator, parquet_bytes
 from tests.tools.rights import KEYS, RIGHTS, WILD, N
+from tests.tools.verdicts import verdict_of
 
 STEPS = 300
 
@@ -104,8 +105,7 @@ class Victim:
         assert orchestrator("rate", "0").returncode == 0
         assert orchestrator("resume").returncode == 0
         self.network.wait()
-        verdict: dict[str, Any] = json.loads((self.run / "verdict.json").read_text())
-        return verdict
+        return verdict_of(self.run)
 
     def end(self) -> dict[str, Any]:
         """Return the verdict; the numbers must be those of an undisturbed run."""

@@ -27,7 +27,8 @@ from tests.tools.machines import Program
 from tests.tools.processes import DEADLINE_S, Orchestrator, orchestrator, parquet_bytes, run_here
 from tests.tools.refusals import refusal
 from tests.tools.rights import PLACES
-from tests.tools.standalone import UP, start, verdict
+from tests.tools.standalone import UP, start
+from tests.tools.verdicts import verdict_of
 
 __all__ = ["start"]
 
@@ -86,8 +87,8 @@ def test_separate_agents_join_with_their_keys_and_change_nothing(here: Path, por
     with up(port, "--external", "3,5,6") as network:
         assert network.wait() == 0, network.output
         assert network.children.keys() == {"plant", *(f"agent-{name}" for name in (1, 2, 4, 7))}
-    assert verdict()["checks"]["reference"]["ok"]
-    assert verdict()["checks"]["information"]["ok"]
+    assert verdict_of()["checks"]["reference"]["ok"]
+    assert verdict_of()["checks"]["information"]["ok"]
     assert [agent.wait()[0] for agent in agents] == [0, 0, 0]
     assert (here / "lab/agent-3/key.pem").exists()  # these belong to their creator
 
@@ -135,7 +136,7 @@ def test_a_plant_elsewhere_is_the_router_with_the_routers_keys(here: Path, port:
     with Orchestrator("up", "lab/topology.yaml", "--external", "plant,all", "--keys", "lab", *UP) as network:
         assert network.wait() == 0, network.output
     assert [one.wait()[0] for one in (plant, *agents)] == [0, 0, 0]
-    assert verdict()["checks"]["reference"]["ok"]
+    assert verdict_of()["checks"]["reference"]["ok"]
 
 
 def in_place_of_agent_3(folder: str, other: str, *files: str) -> None:
