@@ -139,8 +139,6 @@ class Launch:
                 if interrupts.count:
                     raise HedgerowError(interrupts.name)
             truth = truth_of(self._topology, self._shards)
-            if interrupts.count:  # a short run would be over before anything else looks
-                raise HedgerowError(interrupts.name)
             shared, path = self._shared(stack)
             processes.start_plant(truth, self._options.rate, self._options.deadline_s, external, path)
         processes.start_agents(ours)

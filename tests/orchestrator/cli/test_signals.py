@@ -66,11 +66,11 @@ def test_a_signal_before_the_first_step_leaves_no_run(here: Path, number: signal
 
 @pytest.mark.parametrize("module", ["launch.launching", "launch.recording"])
 def test_a_signal_while_the_processes_start_leaves_no_run_or_names_it(here: Path, module: str) -> None:
-    """The processes have written logs and views already."""
+    """The processes have written logs and views already. The run is long: after its last step a signal is too late."""
     (here / "pair.yaml").write_text(PAIR)
     name = {"launch.launching": "truth_of", "launch.recording": "Recording"}[module]
     command = planted(f"hedgerow.orchestrator.{module}", name, signal.SIGINT)
-    done = run("up", "pair.yaml", "--viewer", "none", "--no-record", command=command)
+    done = run("up", "pair.yaml", "--steps", "1000000", "--viewer", "none", "--no-record", command=command)
     assert done.returncode in {Exit.UNKNOWN, 128 + signal.SIGINT}, done.stderr
     for folder in {path.resolve() for path in (here / "runs").iterdir()}:
         assert str(folder).encode() in done.stdout + done.stderr
