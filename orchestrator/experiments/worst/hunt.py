@@ -140,6 +140,12 @@ class Hunt:
             self._break(max(began + budget_s, time.monotonic()), say, quit_now)
         self.state.seconds += time.monotonic() - began
 
+    @property
+    def unbroken(self) -> float | None:
+        """Return the largest gain that the search saw without faults; None before the first."""
+        scores = [found[1] for (_, breaks), found in self.state.champions.items() if breaks == NONE]
+        return max(scores) ** 0.5 if scores else None
+
     def best_score(self) -> float:
         """Return the largest gain squared so far."""
         return max((found[1] for found in self.state.champions.values()), default=0.0)
@@ -182,7 +188,7 @@ class Hunt:
     def _break(self, until: float, say: Say, quit_now: Quit) -> None:
         """Try every cut and drop alone, then add faults to the best, one at a time."""
         graph, breaking = self.scene.graph, NONE
-        best = max((found[1] for key, found in self.state.champions.items() if key[1] == NONE), default=0.0)
+        best = (self.unbroken or 0.0) ** 2
         singles = [Breaks(cuts=((e, first),)) for e in range(len(graph.edges)) for first in (0,)]
         singles += [Breaks(drops=((k, first),)) for k in range(len(graph.node)) for first in (0, 2, 4)]
         self.faults_of = len(singles)
@@ -261,12 +267,21 @@ class Hunt:
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.where(settled, np.sqrt(played.cost[-1] / energy), 0.0)
 
-    def proved(self) -> tuple[Attack, Topology]:
-        """Return the best attack with a run that repeats its gain, and the topology of that run."""
+    def proved(self, say: Say = lambda _: None, quit_now: Quit = lambda: False) -> tuple[Attack, Topology]:
+        """Return the best attack with a run that repeats its gain, and the topology of that run.
+
+        The runs take as long as they need, after the time of the search. `say` gets a line before the first run, for
+        every gain that a run repeats, and for long pauses. `quit_now` ends the runs after the first proof.
+        """
         best: tuple[Attack, Topology] | None = None
+        say(f"the search ends; now runs of up to {self.steps} steps repeat its best attacks")
+        said, silent = time.monotonic(), SILENT_S
         for sought, attack in self.attacks():
-            if best is not None and sought <= best[0].limit * (1 + SETTLED):
+            if best is not None and (sought <= best[0].limit * (1 + SETTLED) or quit_now()):
                 break
+            if (waited := time.monotonic() - said) >= silent:
+                silent *= 2
+                say(f"no run has repeated a {'larger ' * (best is not None)}gain for {waited:.0f} s")
             if best is not None and attack.limit <= best[0].limit:
                 continue
             is_steady, within = self.steady(attack)
@@ -277,6 +292,8 @@ class Hunt:
             gain = content["metrics"].get("gain")
             if content["verdict"] == "valid" and gain is not None and abs(gain - attack.gain) <= SAME * attack.gain:
                 best = replace(attack, gain=gain, within=within), topology
+                said, silent = time.monotonic(), SILENT_S
+                say(f"gain {attack.limit:.4f} is proved by a run")
         if best is None:
             raise HedgerowError(f"{self.topology.name}: no disturbance was found. Give a larger --budget.")
         return best
