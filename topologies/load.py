@@ -20,7 +20,7 @@ from pydantic_core import ErrorDetails
 from hedgerow.topologies import budget, table
 from hedgerow.topologies.base import node_id
 from hedgerow.topologies.errors import Code, FileRefusedError, Problem, Problems, TopologyError, UserError
-from hedgerow.topologies.escape import command, shorten
+from hedgerow.topologies.escape import shorten
 from hedgerow.topologies.law_choice import LawChoice
 from hedgerow.topologies.mistaken import cure_of_law, mistaken
 from hedgerow.topologies.mistakes import UNSPACED, as_written, in_words, sampled

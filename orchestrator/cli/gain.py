@@ -87,7 +87,7 @@ def worst(
             progress.update()
             if interrupts.count and not is_stopped:
                 is_stopped = True
-                progress.say(f"stopped: {interrupts.name}; proving the attack found so far")
+                progress.say(f"stopped: {interrupts.name}; repeating the best attack found so far")
             return is_stopped
 
         found = search(topology, seconds, faults, seed, steps, out, progress.say, quit_now)

@@ -35,8 +35,8 @@ from hedgerow.topologies.resolve import save
 from hedgerow.topologies.schema import Topology
 
 NAME = "worst.yaml"
-UNPROVED = 1e-4
-"""The part by which a gain that the search saw may exceed the proved one, before the difference is reported."""
+UNREPEATED = 1e-4
+"""The part by which a gain that the search saw may exceed the repeated one, before the difference is reported."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Found:
     """of search, those before an interruption included"""
     without_faults: float | None = None
     """the best gain without faults in the search, to compare `faults` with; None unless faults were searched"""
-    proof_seconds: float = 0.0
+    repeat_seconds: float = 0.0
     """of the runs after the search, which repeat its attacks"""
 
     def __repr__(self) -> str:
@@ -97,7 +97,7 @@ class Found:
     @property
     def harmful(self) -> list[tuple[str, float]]:
         """Return the single faults with a larger gain than without faults, and the gain, the largest first."""
-        least = (self.without_faults or 0.0) * (1 + UNPROVED)
+        least = (self.without_faults or 0.0) * (1 + UNREPEATED)
         return sorted((one for one in self.faults.items() if one[1] > least), key=lambda one: -one[1])
 
     def sandwich(self) -> str:
@@ -131,7 +131,9 @@ class Found:
                 *([] if self.without_faults is None else [f"  {self.without_faults:.4f}  without faults"]),
                 *(f"  {gain:.4f}  {what}" for what, gain in worst),
             ]
-        lines.append(f"{self.seconds:.1f} s of search, then {self.proof_seconds:.1f} s of runs that repeat its attacks")
+        lines.append(
+            f"{self.seconds:.1f} s of search, then {self.repeat_seconds:.1f} s of runs that repeat its attacks"
+        )
         return "\n".join(lines)
 
     def to_dict(self) -> dict[str, Any]:
@@ -150,7 +152,7 @@ class Found:
             "faults_in_all": self.faults_of,
             "without_faults": self.without_faults,
             "seconds": self.seconds,
-            "proof_seconds": self.proof_seconds,
+            "repeat_seconds": self.repeat_seconds,
             "guarantee": self.guarantee.to_dict(),
         }
 
@@ -167,7 +169,7 @@ def worst(
 ) -> Found:
     """Search the worst disturbance of a network for `budget_s` seconds, and write it if `out` names a file.
 
-    The runs that repeat the best attacks come after this time; `Found.proof_seconds` is what they took.
+    The runs that repeat the best attacks come after this time; `Found.repeat_seconds` is what they took.
     `faults` searches cuts and drops too. `steps` is the length of the run of a disturbance that holds its last value.
     A stopped search continues from the files of `out`. Raises UserError for a network that is too large.
     """
@@ -181,8 +183,11 @@ def worst(
                 say(f"replaces the attack of {out}, which has another --seed, --faults or --steps")
         hunt.run(budget_s, say, quit_now)
         found = _written(hunt, topology, out, state_file, say, quit_now)
-        if (seen := hunt.best_score() ** 0.5) > found.limit * (1 + UNPROVED):
-            say(f"gain {seen:.4f} was seen, and no run proved it; {found.limit:.4f} is proved")
+        if (seen := hunt.best_score() ** 0.5) > found.limit * (1 + UNREPEATED):
+            say(
+                f"{found.limit:.4f} counts: the {seen:.4f} of the search has no longer run that repeats it;"
+                " more --steps or another --seed may help"
+            )
         return found
 
 
@@ -245,8 +250,8 @@ def _written(
 ) -> Found:
     """Return the result of a search, and write it if `out` names a file."""
     began = time.monotonic()
-    attack, network = hunt.proved(say, quit_now)
-    proved = time.monotonic() - began
+    attack, network = hunt.repeated(say, quit_now)
+    took = time.monotonic() - began
     found = Found(
         network,
         attack,
@@ -256,7 +261,7 @@ def _written(
         hunt.faults_of,
         hunt.state.seconds,
         hunt.unbroken if hunt.faults else None,
-        proved,
+        took,
     )
     if out is not None and state_file is not None:
         try:

@@ -132,10 +132,10 @@ class Hunt:
             self._evolve(island, NONE, until, quit_now)
             if self.best_score() > best * (1 + 1e-4):
                 best, found, silent = self.best_score(), time.monotonic(), SILENT_S
-                say(f"gain {best**0.5:.4f}")
+                say(f"gain {best**0.5:.4f} in the search")
             elif (waited := time.monotonic() - found) >= silent:
                 silent *= 2
-                say(f"gain {best**0.5:.4f}, and none larger for {waited:.0f} s")
+                say(f"gain {best**0.5:.4f} in the search, and none larger for {waited:.0f} s")
         if self.faults:
             self._break(max(began + budget_s, time.monotonic()), say, quit_now)
         self.state.seconds += time.monotonic() - began
@@ -208,7 +208,7 @@ class Hunt:
             if found[1] == breaking or time.monotonic() >= until or quit_now():
                 return
             best, breaking = found
-            say(f"gain {best**0.5:.4f} with {self.named(breaking)}")
+            say(f"gain {best**0.5:.4f} in the search with {self.named(breaking)}")
 
     def _under(self, breaks: Breaks, until: float) -> float:
         """Return the best gain squared under some faults, from the best disturbances without them."""
@@ -267,14 +267,16 @@ class Hunt:
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.where(settled, np.sqrt(played.cost[-1] / energy), 0.0)
 
-    def proved(self, say: Say = lambda _: None, quit_now: Quit = lambda: False) -> tuple[Attack, Topology]:
+    def repeated(self, say: Say = lambda _: None, quit_now: Quit = lambda: False) -> tuple[Attack, Topology]:
         """Return the best attack with a run that repeats its gain, and the topology of that run.
 
         The runs take as long as they need, after the time of the search. `say` gets a line before the first run, for
-        every gain that a run repeats, and for long pauses. `quit_now` ends the runs after the first proof.
+        every gain that a run repeats, and for long pauses. `quit_now` ends them after the first repeated gain.
         """
         best: tuple[Attack, Topology] | None = None
-        say(f"the search ends; now runs of up to {self.steps} steps repeat its best attacks")
+        say(
+            f"the search ends; runs of up to {self.steps} steps repeat its best attacks, and a gain that repeats counts"
+        )
         said, silent = time.monotonic(), SILENT_S
         for sought, attack in self.attacks():
             if best is not None and (sought <= best[0].limit * (1 + SETTLED) or quit_now()):
@@ -293,7 +295,7 @@ class Hunt:
             if content["verdict"] == "valid" and gain is not None and abs(gain - attack.gain) <= SAME * attack.gain:
                 best = replace(attack, gain=gain, within=within), topology
                 said, silent = time.monotonic(), SILENT_S
-                say(f"gain {attack.limit:.4f} is proved by a run")
+                say(f"gain {attack.limit:.4f} repeated by a run")
         if best is None:
             raise HedgerowError(f"{self.topology.name}: no disturbance was found. Give a larger --budget.")
         return best

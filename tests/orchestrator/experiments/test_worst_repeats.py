@@ -17,10 +17,10 @@ from tests.orchestrator.experiments.test_worst import EAGER
 def test_the_runs_after_a_search_are_announced_and_timed(tmp_path: Path) -> None:
     messages: list[str] = []
     found = worst(EAGER, 0.2, steps=200, out=tmp_path / "w.yaml", say=messages.append)
-    assert found.proof_seconds > 0
+    assert found.repeat_seconds > 0
     assert found.without_faults is None
     content = json.loads((tmp_path / "w.json").read_text(encoding="utf-8"))
-    assert content["proof_seconds"] == found.proof_seconds
+    assert content["repeat_seconds"] == found.repeat_seconds
     assert f"{found.limit:.4f}" in messages[-1]
     assert len(messages) >= 2
 
@@ -32,11 +32,11 @@ def test_runs_that_repeat_no_larger_gain_for_long_are_reported(monkeypatch: pyte
     for messages, after in ((quiet, 1e9), (spoken, 0.0)):
         monkeypatch.setattr("hedgerow.orchestrator.experiments.worst.hunt.SILENT_S", after)
         with pytest.raises(Exception, match="no disturbance"):
-            hunt.proved(messages.append)
+            hunt.repeated(messages.append)
     assert len(spoken) > len(quiet)
 
 
-def test_a_signal_ends_the_proof_after_the_first_run_that_repeats_a_gain(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_signal_ends_the_repeats_after_the_first_run_that_repeats_a_gain(monkeypatch: pytest.MonkeyPatch) -> None:
     hunt = Hunt(EAGER, steps=200)
     hunt.run(0.2, lambda _: None)
     made = list(hunt.attacks())
@@ -48,7 +48,7 @@ def test_a_signal_ends_the_proof_after_the_first_run_that_repeats_a_gain(monkeyp
 
     monkeypatch.setattr(Hunt, "steady", steady)
     monkeypatch.setattr(Hunt, "attacks", lambda _: iter([(1e9, attack) for _, attack in made[:1] * 3]))
-    assert hunt.proved(quit_now=lambda: True)[0].gain > 0
+    assert hunt.repeated(quit_now=lambda: True)[0].gain > 0
     assert len(tried) == 1
 
 
