@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from email.message import Message
 from importlib import metadata
 from pathlib import Path
 
@@ -28,7 +29,8 @@ def test_a_page_exists_and_has_its_heading(name: str) -> None:
 
 
 def test_a_release_with_a_site_gives_the_address(monkeypatch: pytest.MonkeyPatch) -> None:
-    urls = metadata.metadata("hedgerow")
+    urls = Message()
+    urls["Project-URL"] = "Paper, https://arxiv.org/abs/2210.00081"
     urls["Project-URL"] = f"Documentation, {SITE}/"
     monkeypatch.setattr(metadata, "metadata", lambda _: urls)
     assert pages.page("laws") == f"{SITE}/laws.html"
