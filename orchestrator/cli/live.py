@@ -74,11 +74,12 @@ def ps(as_json: AsJson = False) -> int:
 
     entries = registry.running()
     if as_json:
-        echo(json.dumps([vars(entry) for entry in entries]))
+        echo(json.dumps([{**vars(entry), "over": entry.is_over} for entry in entries]))
         return 0
     for entry in entries:
         since = datetime.fromtimestamp(entry.started).strftime("%H:%M:%S")
-        echo(f"{entry.run}  pid {entry.pid}  since {since}  {entry.folder}")
+        over = "  over, its page stays" if entry.is_over else ""
+        echo(f"{entry.run}  pid {entry.pid}  since {since}  {entry.folder}{over}")
     if not entries:
         echo("no network is running")
     return 0
@@ -107,6 +108,8 @@ def stop(
     check_options(deadline=deadline)
     entry = registry.find(chosen(run, named))
     try:
+        if entry.is_over:
+            raise WireError("its plant has ended")
         with Live(entry) as live:
             live.ask_to_stop()
     except WireError:  # the plant is gone or frozen: ask its parent process

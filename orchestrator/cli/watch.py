@@ -39,6 +39,8 @@ def watch(run: Running = None, named: RunOption = None, viewer: Viewer = "auto")
     except UserError as error:
         hint = "`orchestrator open` shows runs that are over, and those of `simulate`"
         raise UserError(f"{error}\n{hint}", code=error.code) from None
+    if entry.is_over:
+        raise entry.over()
     choice = choose_one(viewer, f"`{command(['orchestrator', 'status', entry.run])}` shows its step")
     from hedgerow.orchestrator.views.rerun.watch import watch as follow  # noqa: PLC0415
 
