@@ -226,6 +226,8 @@ class QuietLaw:
     def rows(self, t: int, first: int, last: int, peer: int) -> tuple[list[float], list[float]]:
         """Return the states and inputs of steps first to last for a peer, row by row; t is the last step made."""
         nodes = self._sends[peer]
+        if first == last == t:
+            return [self.x[i] for i in nodes], [self.u[i] for i in nodes]
         x: list[float] = []
         u: list[float] = []
         for step in range(first, last + 1):

@@ -413,9 +413,12 @@ class Shard:
     def _rows_due(self, flags: bytes, spans: Sequence[Span]) -> list[tuple[int, int, int]]:
         """Return the peers that receive a link message of the last step, each with the steps of its rows."""
         t, flags, due = self.t, flags or self._up, list[tuple[int, int, int]]()
-        steps = {c: (t - late - count, t - late) for c, _, _, late, count in spans}
+        now, steps = (t, t), {c: (t - late - count, t - late) for c, _, _, late, count in spans}
         for p, peer in enumerate(self.peers):
-            if up := [steps.get(c, (t, t)) for c in peer.incidences if flags[c] & _SEND]:
+            up = [steps.get(c, now) for c in peer.incidences if flags[c] & _SEND]
+            if len(up) == 1:  # min and max of one would take longer than all the rest
+                due.append((p, *up[0]))
+            elif up:
                 due.append((p, min(up)[0], max(last for _, last in up)))
         return due
 
