@@ -6,12 +6,13 @@ import struct
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hedgerow.plant.links import Deliveries
 from hedgerow.topologies.graph import Graph, Index
-from hedgerow.wire.message import ALL_UP, Flags, Span
+from hedgerow.wire.message import ALL_UP, Flag, Flags, Span
 
-_NUMBER = np.dtype("<u4")
+_NO_SPANS = np.empty((0, len(Span._fields)), dtype=np.uint32)
 _SPAN = struct.Struct(f"<{len(Span._fields)}I")
 
 
@@ -43,24 +44,33 @@ class LinkStates:
         """
         graph, reverse = places.graph, places.graph.reverse
         self._places, self._shards = places, len(places.stops)
-        self.flags: Flags = (received.some.view(np.uint8) << 1) | (sent.some.take(reverse, axis=1).view(np.uint8) << 2)
-        """Flag bits by incidence, (S, 2E)"""
-        self.flags |= 1
+        opened: Flags = np.full(received.some.shape, Flag.OPEN, dtype=np.uint8)
         if edge_open is not None:
-            self.flags[0] &= edge_open.take(graph.edge) | 0xFE
-        columns = (received.late, received.back, sent.late.take(reverse, axis=1), sent.back.take(reverse, axis=1))
+            opened[0] = edge_open.take(graph.edge)
+        arriving, leaving = received.some.view(np.uint8), sent.some.take(reverse, axis=1).view(np.uint8)
+        self.flags: Flags = opened | (arriving << 1) | (leaving << 2)
+        """Flag bits by incidence, (S, 2E)"""
         self._bits = self.flags.take(places.order, axis=1)
+        self._spans: NDArray[np.uint32] = _NO_SPANS
+        """the spans of all steps and shards, (K, 5)"""
+        self._stops = [0] * (len(self.flags) * self._shards)
+        """by step and shard: the end of its spans"""
+        columns = (received.late, received.back, sent.late.take(reverse, axis=1), sent.back.take(reverse, axis=1))
         some = columns[0] | columns[1] | columns[2] | columns[3]
+        if some.any():
+            self._note_spans(some, columns)
+        self._made, self._tails = -1, list[bytes]()
+        """the last step that `tails` was called for, and the result"""
+
+    def _note_spans(self, some: Index, columns: Sequence[Index]) -> None:
+        """Note the spans of the incidences where `some` is not 0; `columns` are the numbers of a span, (S, 2E) each."""
+        places = self._places
         steps, found = some.take(places.order, axis=1).nonzero()
         incidences = places.order[found]
         numbers = [places.local[found], *(one[steps, incidences] for one in columns)]
-        self._spans = np.stack(numbers, axis=1).astype(_NUMBER)
-        """the spans of all steps and shards, (K, 5)"""
-        counts = np.bincount(steps * self._shards + places.shard[found], minlength=len(self.flags) * self._shards)
-        self._stops: list[int] = counts.cumsum().tolist()
-        """by step and shard: the end of its spans"""
-        self._made, self._tails = -1, list[bytes]()
-        """the last step that `tails` was called for, and the result"""
+        self._spans = np.stack(numbers, axis=1).astype(np.uint32)
+        shards = steps * self._shards + places.shard[found]
+        self._stops = np.bincount(shards, minlength=len(self._stops)).cumsum().tolist()
 
     def tails(self, k: int) -> list[bytes]:
         """Return, by shard, its state message of step k behind the states; empty if all bits are set, without spans.
@@ -80,7 +90,7 @@ class LinkStates:
         first = self._shards * k
         start = start_of_spans = 0
         last = self._stops[first - 1] if first else 0
-        all_spans = self._spans[last : self._stops[first + self._shards - 1]].tobytes()
+        all_spans = self._spans[last : self._stops[first + self._shards - 1]].astype("<u4").tobytes()
         for up, stop, stop_of_spans in zip(
             self._places.up, self._places.stops, self._stops[first : first + self._shards], strict=True
         ):

@@ -113,13 +113,10 @@ class Links:
         stored = np.minimum(missing[:-1], most_stored)
         delays = np.zeros_like(stored) if late is None else late[:steps] * some
         back = stored * some - delays
-        return Forecast(
-            Deliveries(some, delays, back),
-            missing,
-            (~missing[1:].any(axis=1)).tolist(),
-            (some & ((delays | back) == 0)).all(axis=1).tolist(),
-            ((missing[:-1] - stored) * some).sum(axis=1).tolist(),
-        )
+        complete: Mask = ~np.asarray(missing[1:].any(axis=1))
+        whole: Mask = np.asarray((some & ((delays | back) == 0)).all(axis=1))
+        forgotten: Index = ((missing[:-1] - stored) * some).sum(axis=1)
+        return Forecast(Deliveries(some, delays, back), missing, complete.tolist(), whole.tolist(), forgotten.tolist())
 
     def follow(self, forecast: Forecast, k: int) -> None:
         """Record step k of a forecast as done."""
