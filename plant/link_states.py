@@ -35,7 +35,7 @@ class Places:
 
 
 class LinkStates:
-    """What the shards learn of their links at S steps."""
+    """The Flag bits and spans of all shards at S steps."""
 
     def __init__(self, places: Places, edge_open: Flags | None, received: Deliveries, sent: Deliveries) -> None:
         """Take the deliveries of the steps, `sent`, and of the steps before them, `received`, (S, 2E) each.

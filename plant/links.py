@@ -17,8 +17,8 @@ from hedgerow.topologies.graph import Graph, Index, Mask
 
 
 class Deliveries(NamedTuple):
-    """The deliveries of the links at one step, (2E,) each: True if any row arrives, its delay, and the earlier rows
-    with it.
+    """The deliveries of the links at one step, (2E,) each, or at S steps, (S, 2E): True if any row arrives, its delay,
+    and the earlier rows with it.
 
     The newest row is that of t - late; `back` rows arrive before it.
     """
@@ -34,15 +34,15 @@ class Deliveries(NamedTuple):
 
     @property
     def alone(self) -> Deliveries:
-        """Return the same as those of several steps, which are one, (1, 2E)."""
+        """Return the deliveries of one step in the shape of several, (1, 2E)."""
         return Deliveries(self.some[None], self.late[None], self.back[None])
 
     def at(self, k: int) -> Deliveries:
-        """Return those of step k, if these are of several steps."""
+        """Return the deliveries of step k of several."""
         return Deliveries(self.some[k], self.late[k], self.back[k])
 
-    def after(self, first: Deliveries) -> Deliveries:
-        """Return the deliveries one step earlier each, behind those of the step `first`."""
+    def one_earlier(self, first: Deliveries) -> Deliveries:
+        """Return the deliveries of the step before each of these, if those before the first are `first`."""
         return Deliveries(*(np.concatenate([one[None], own[:-1]]) for one, own in zip(first, self, strict=True)))
 
 

@@ -210,7 +210,7 @@ class World:
             return None
         forecast = self.links.forecast(faults)
         sent, received = forecast.deliveries, self._received or self.links.whole
-        states = LinkStates(self._places, self._open, sent.after(received), sent)
+        states = LinkStates(self._places, self._open, sent.one_earlier(received), sent)
         return _Ahead(self.t, self.faults.changes, forecast, states)
 
     def _begin_ahead(self, ahead: _Ahead) -> None:
