@@ -2,7 +2,7 @@
 
 A step is quiet if every edge is open, every message of the step before is there, and nothing is learned late. Almost
 every step is. An array of one number costs as much as one of a hundred. So a shard of a few nodes makes its quiet steps
-here. The paper's law is below, and the other laws of the project are in agents.quiet_laws. With the law of the paper,
+here. The paper's law is below, and the other laws of the project are in agents.float_rules. With the law of the paper,
 steps with dropped or late messages are made here too (agents.waiting). Other steps, and laws of other classes, use the
 general path (agents.samples and the law itself). `give_back` passes everything to the general path. Both ways give the
 same bits, because they do the same operations in the same order.
@@ -17,9 +17,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hedgerow.agents.float_rule import Rule, Sample
 from hedgerow.agents.law import Array, Law, Minimax
 from hedgerow.agents.local import asks
-from hedgerow.agents.quiet_rule import Rule, Sample
 from hedgerow.agents.samples import Samples
 from hedgerow.agents.view import View
 from hedgerow.agents.waiting import MOST_WAITING, Row, Waiting
@@ -45,7 +45,7 @@ class _Node(NamedTuple):
     """of a law other than `Minimax`"""
 
 
-class QuietLaw:
+class FloatLaw:
     """The law of a few nodes, and their last states, inputs and reports, in floats."""
 
     def __init__(self, view: View, law: Law, rules: Sequence[Rule | None]) -> None:
@@ -80,8 +80,8 @@ class QuietLaw:
         """number of steps of the general path in a row that could have been made here"""
 
     @classmethod
-    def of(cls, view: View, law: Law) -> QuietLaw | None:
-        """Return the quiet law of a view; None if its nodes are too many, or its law is of another class."""
+    def of(cls, view: View, law: Law) -> FloatLaw | None:
+        """Return the law of a view in floats; None if its nodes are too many, or its law is of another class."""
         if view.k > FEW_NODES or len(view.row) > MOST_INCIDENCES:
             return None
         # Python raises an error where numpy divides by zero. Only the end of a candidate list may have padding.
@@ -92,7 +92,7 @@ class QuietLaw:
         if type(law) is not Minimax:
             if not listed.all():  # the rules of other laws know lists of one length only
                 return None
-            from hedgerow.agents.quiet_laws import rule_of  # noqa: PLC0415 (it loads every law of the project)
+            from hedgerow.agents.float_rules import rule_of  # noqa: PLC0415 (it loads every law of the project)
 
             rules = [rule_of(law, node) for node in range(view.k)]
             if None in rules:
@@ -268,7 +268,7 @@ def _acted(node: _Node, J: list[float], x: float) -> tuple[float, float, float]:
     return node.b * x / (ahat - 1.0), ahat, ordered[1] - least if len(ordered) > 1 else inf
 
 
-class QuietForms:
+class FloatForms:
     """The messages of a quiet step: a state is taken apart and an answer packed without numpy."""
 
     def __init__(self, k: int, audience: Sequence[Sequence[int] | None]) -> None:
