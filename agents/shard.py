@@ -128,7 +128,7 @@ class Shard:
     def step(self, state: State) -> None:
         """Make the step of `answer`, and return nothing: arrays of a step in floats would be made for it."""
         t, x, floats = state.t, state.x, self._floats
-        if floats is not None and floats.has_memory:
+        if floats is not None and floats.is_active:
             if t == self.t + 1 and self._step_in_floats(state, floats):
                 return
             self._leave_floats(floats)
@@ -137,14 +137,14 @@ class Shard:
             if record is not None:
                 self._restore(record)
             if t > 0:
-                self._close(state, record.back if record is not None else None)
+                self._close(state, record.returning if record is not None else None)
         except (Exception, SystemExit) as error:
             raise self._raised("learn", error) from error
         self._record = None
         u = self._act(t, x)
         if floats is not None:
             possible = t > 0 and record is None and floats.can_make(state.flags, state.spans)
-            floats.count_general(possible, x, u, self._report, self._samples)
+            floats.enter_after(possible, x, u, self._report, self._samples)
 
     def answer_quietly(self, message: bytes) -> list[bytes] | None:
         """Return the answer to a state message: one link message per entry of `audience`, and the input message.
@@ -152,7 +152,7 @@ class Shard:
         Return None, with nothing changed, if the step is not quiet: then decode the message and call `answer`.
         """
         floats = self._floats
-        if floats is None or not floats.has_memory or (x := self._forms.states(message, self.t + 1)) is None:
+        if floats is None or not floats.is_active or (x := self._forms.states(message, self.t + 1)) is None:
             return None
         if not self._step_quietly(x, floats):
             return None
@@ -164,9 +164,9 @@ class Shard:
         Return None, with nothing changed, if they cannot: then decode the message and call `answer`.
         """
         floats = self._floats
-        if floats is None or not floats.has_memory:
+        if floats is None or not floats.is_active:
             return None
-        if not floats.has_waiting and len(message) == self._forms.quiet_bytes:
+        if not floats.waits and len(message) == self._forms.quiet_bytes:
             return None  # a quiet state, often before its link messages: do not take it apart once more
         if (state := self._forms.state(message, self.t + 1, self.m)) is None:
             return None
@@ -178,7 +178,7 @@ class Shard:
     def _step_quietly(self, x: Sequence[float], floats: FloatLaw) -> bool:
         """Make the next step without numpy and return True; False, with nothing changed, if the step is not quiet."""
         past = self.t
-        if self._record is not None or floats.has_waiting:
+        if self._record is not None or floats.waits:
             return False
         links = [peer.mail.get(past) for peer in self.peers]
         if None in links or (inputs := floats.step(x, links, past)) is None:  # type: ignore[arg-type]  # none is None
@@ -192,7 +192,7 @@ class Shard:
     def _step_in_floats(self, state: State, floats: FloatLaw) -> bool:
         """Make the next step without numpy and return True; False, with nothing changed, if floats cannot make it."""
         x: list[float] = state.x.tolist()
-        if not (state.flags or state.spans or floats.has_waiting):
+        if not (state.flags or state.spans or floats.waits):
             return self._step_quietly(x, floats)
         return self._step_with_gaps(x, state.flags, state.spans, floats)
 
@@ -215,9 +215,9 @@ class Shard:
     def _leave_floats(self, floats: FloatLaw) -> None:
         """Have the law, the samples and the arrays hold the newest numbers again."""
         self._refresh()
-        floats.give_back()
+        floats.leave()
         if (waiting := floats.waiting) is not None and waiting.most:
-            self._samples.wait(*waiting.hand_over())
+            self._samples.wait(*waiting.leave())
 
     def _refresh(self) -> None:
         if self._behind and (floats := self._floats) is not None:
@@ -244,13 +244,13 @@ class Shard:
 
     def replace_inputs(self, u: Array) -> None:
         """Continue as if the inputs of the last step had been `u`, (k,)."""
-        if self._floats is not None and self._floats.has_memory:
+        if self._floats is not None and self._floats.is_active:
             self._leave_floats(self._floats)
         self._u = u
 
     def _restore(self, record: Record) -> None:
         """Restore the memory of the nodes that come back from the record; keep the mail, because it may be for them."""
-        back = record.back
+        returning = record.returning
         for peer in self.peers:
             for t in [t for t in peer.mail if t < record.t - 1]:
                 del peer.mail[t]
@@ -260,17 +260,17 @@ class Shard:
         self._samples.restore(record, anew)
         self._x, self._u = self._x.copy(), self._u.copy()
         if self._newest is not None:
-            self._newest.forget(np.ones(self.m, dtype=bool) if anew else back[self._row])
+            self._newest.forget(np.ones(self.m, dtype=bool) if anew else returning[self._row])
         if len(record.x):
-            self._x[back], self._u[back] = record.x[-1], record.u[-1]
+            self._x[returning], self._u[returning] = record.x[-1], record.u[-1]
         else:
-            self._x[back] = self._u[back] = np.nan
+            self._x[returning] = self._u[returning] = np.nan
 
-    def _close(self, state: State, back: Mask | None) -> None:
+    def _close(self, state: State, returning: Mask | None) -> None:
         """Learn earlier samples that are now complete, then the sample of t - 1."""
         past = state.t - 1
         links = [peer.take(past) for peer in self.peers]
-        if not state.flags and not state.spans and self._samples.complete and back is None:
+        if not state.flags and not state.spans and self._samples.complete and returning is None:
             self.used = b""
             # The last row of each message is its newest; here it should be the only one.
             last_rows = [
@@ -289,10 +289,10 @@ class Shard:
         ]
         used = bytearray((state.flags or self._up).translate(_TAKEN_OF))
         late_rows: list[LateRows] = []
-        for c, late, count, _, _ in state.spans:
+        for c, late, back, _, _ in state.spans:
             if used[c] & Flag.RECEIVE:
                 last = past - late
-                late_rows.append(self._received(c, links, last - count, min(last + 1, past)))
+                late_rows.append(self._received(c, links, last - back, min(last + 1, past)))
                 if late:
                     used[c] -= Flag.RECEIVE
         plain = bytes(used)
@@ -303,7 +303,7 @@ class Shard:
         inputs, states = gather([self._u, *last_rows]), self._states(links)
         if self._newest is not None and states is not None:
             self._newest.note(past, states, inputs, self.used, late_rows)
-        self._samples.take_late(past, self._x, inputs, plain, state.x, late_rows, back, states)
+        self._samples.take_late(past, self._x, inputs, plain, state.x, late_rows, returning, states)
 
     def _states(self, links: Sequence[Link | None]) -> Array | None:
         """Return our own states followed by the peers' states of the same step, for a law that asks; otherwise None."""
@@ -380,7 +380,7 @@ class Shard:
     def messages(self, state: State) -> tuple[list[tuple[Sequence[int], bytes]], bytes]:
         """Return the link messages of the step just answered, each with its receiving peers, and the input message."""
         floats = self._floats
-        if floats is not None and floats.has_memory:
+        if floats is not None and floats.is_active:
             if not (state.flags or state.spans):
                 *packed, own = self._forms.pack(self.t, floats.x, floats.u, floats.report)
                 return [(peers, one) for (_, peers), one in zip(self.audience, packed, strict=True)], own + self.used
@@ -413,7 +413,7 @@ class Shard:
     def _rows_due(self, flags: bytes, spans: Sequence[Span]) -> list[tuple[int, int, int]]:
         """Return the peers that receive a link message of the last step, each with the steps of its rows."""
         t, flags, due = self.t, flags or self._up, list[tuple[int, int, int]]()
-        now, steps = (t, t), {c: (t - late - count, t - late) for c, _, _, late, count in spans}
+        now, steps = (t, t), {c: (t - late - back, t - late) for c, _, _, late, back in spans}
         for p, peer in enumerate(self.peers):
             up = [steps.get(c, now) for c in peer.incidences if flags[c] & _SEND]
             if len(up) == 1:  # min and max of one would take longer than all the rest
@@ -440,7 +440,7 @@ class Shard:
     def _rows(self, peer: Peer, first: int, last: int) -> Link:
         """Return a link message with the rows of steps first to last, as far as they are stored."""
         nodes = peer.nodes
-        if (floats := self._floats) is not None and floats.has_memory:
+        if (floats := self._floats) is not None and floats.is_active:
             if floats.has_rows(self.t, first):
                 rows = floats.rows(self.t, first, last, self.peers.index(peer))
                 return Link(self.t, first, *(np.array(one).tobytes() for one in rows))

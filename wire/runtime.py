@@ -25,7 +25,7 @@ def runtime_environment() -> dict[str, str]:
     Many processes share few cores (docs/performance-notes.md). So Zenoh has one thread for each duty of its runtime.
     `tx`, which sends, also accepts connections (`acc`): the thread that accepts a connection notices every packet on
     it, and `tx` is often awake. `rx` must not do this. It waits while it passes on a long message, and meanwhile
-    somebody has to notice that the socket takes it.
+    another thread has to notice that the socket takes it.
 
     Linear algebra has no threads: agents and plant do not use it, and a process that forks must have none.
     """

@@ -110,7 +110,7 @@ def test_any_numbers_give_the_bits_of_the_law_or_are_passed_to_it(
     assert ours is not None
     x, u = np.zeros(1), np.zeros(1)
     for _ in range(float_law.STEPS_BEFORE):
-        ours.count_general(True, x, u, np.zeros((2, 1)))
+        ours.enter_after(True, x, u, np.zeros((2, 1)))
     for one, two, now in zip(values[::3], values[1::3], values[2::3], strict=True):
         answer = ours.step([now], [Link(0, 0, bytes(16), struct.pack("<2d", one, two))], 0)
         if answer is None:
@@ -120,7 +120,7 @@ def test_any_numbers_give_the_bits_of_the_law_or_are_passed_to_it(
             x, u = np.array([now]), law.act(np.array([now]))
         assert np.array(ours.u).tobytes() == u.tobytes()
         assert np.array(ours.report).tobytes() == law.report().tobytes()
-    ours.give_back()
+    ours.leave()
     assert other.memory.tobytes() == law.memory.tobytes()
 
 

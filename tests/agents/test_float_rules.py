@@ -99,7 +99,7 @@ def test_any_numbers_give_the_bits_of_the_law_or_are_left_to_it(
     assert ours is not None
     x, u = np.zeros(1), np.zeros(1)
     for _ in range(float_law.STEPS_BEFORE):
-        ours.count_general(True, x, u, np.zeros((2, 1)))
+        ours.enter_after(True, x, u, np.zeros((2, 1)))
     asked = {"forgetting": 0, "notch": 1, "either": 1, "thompson": 2}.get(law.partition("(")[0], 0)
 
     def received(t: int) -> Received:
@@ -117,5 +117,5 @@ def test_any_numbers_give_the_bits_of_the_law_or_are_left_to_it(
         assert np.array(ours.u).tobytes() == u.tobytes()
         assert np.array(ours.report).tobytes() == np.asarray(expected.report()).tobytes()
     with np.errstate(all="ignore"):  # as in every process of a run
-        ours.give_back()
+        ours.leave()
     assert np.asarray(other.memory).tobytes() == np.asarray(expected.memory).tobytes()
