@@ -80,29 +80,28 @@ class Waiting:
         """
         if self.most >= MOST_WAITING:
             return None
-        received = {c: (late, back) for c, late, back, _, _ in spans}
-        taken_apart: dict[int, tuple[int, Sequence[float]]] = {}
-        found = []
-        for c, (bits, missing, (peer, place, _)) in enumerate(zip(flags, self.missing, self._senders, strict=True)):
-            if not bits & _OPEN:
-                return None
+        received = {c: (late, back) for c, late, back, _, _ in spans} if spans else {}
+        newest_alone = (0, 0)
+        found: list[Arrival] = []
+        for c, (bits, missing, (peer, place, _)) in enumerate(zip(flags, self.missing, self._senders, strict=False)):
             if not bits & _RECEIVE:
+                if not bits & _OPEN:
+                    return None
                 continue
-            late, back = received.get(c, (0, 0))
-            if late + back != missing:
+            late, back = received.get(c, newest_alone)
+            if late + back != missing or not bits & _OPEN:
                 return None
-            inputs: Sequence[float] = ()
-            if peer >= 0:
-                if (link := links[peer]) is None:
-                    return None
-                receives = self._receives[peer]
-                if peer not in taken_apart:
-                    taken_apart[peer] = _inputs(link)
-                first, numbers = taken_apart[peer]
-                skipped = past - missing - first
-                inputs = numbers[skipped * receives + place : (skipped + back + 1) * receives : receives]
-                if skipped < 0 or len(inputs) != back + 1 or not isfinite(sum(inputs)):
-                    return None
+            if peer < 0:
+                found.append((c, late, ()))
+                continue
+            if (link := links[peer]) is None:
+                return None
+            receives = self._receives[peer]
+            first, numbers = link_inputs(link) if isinstance(link, bytes) else _inputs(link)
+            skipped = past - missing - first
+            inputs = numbers[skipped * receives + place : (skipped + back + 1) * receives : receives]
+            if skipped < 0 or len(inputs) != back + 1 or not isfinite(sum(inputs)):
+                return None
             found.append((c, late, inputs))
         return found
 
@@ -133,8 +132,8 @@ class Waiting:
             counts[node] = max(counts[node], count)
         return counts
 
-    def begin(self, rows: Sequence[tuple[list[float], list[float], bytes]], unlearned: Sequence[int] | None) -> bool:
-        """Begin with these last rows: states, inputs, and the Flag bits of the inputs used.
+    def enter(self, rows: Sequence[tuple[list[float], list[float], bytes]], unlearned: Sequence[int] | None) -> bool:
+        """Take these last rows: states, inputs, and the Flag bits of the inputs used.
 
         `unlearned` are the numbers of steps since the last learned sample, by node; None if no sample waits. Return
         False if the rows that are missing are not the newest ones, or if a node has learned a later sample.
@@ -160,7 +159,7 @@ class Waiting:
         self.missing, self.counts, self.most = missing, counts, most
         return True
 
-    def hand_over(self) -> tuple[list[tuple[Row, bytes]], list[int]]:
+    def leave(self) -> tuple[list[tuple[Row, bytes]], list[int]]:
         """Return the rows with samples that wait, each with the Flag bits of the inputs that it has, and `counts`.
 
         No sample waits after that.
@@ -174,8 +173,6 @@ class Waiting:
         return rows, counts
 
 
-def _inputs(link: Link | bytes) -> tuple[int, Sequence[float]]:
+def _inputs(link: Link) -> tuple[int, Sequence[float]]:
     """Return the first step of a link message, and all its inputs, row by row."""
-    if isinstance(link, bytes):
-        return link_inputs(link)
     return link.first, struct.unpack(f"<{len(link.u) // 8}d", link.u)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,6 +88,17 @@ def _name(effect: Effect) -> tuple[int, str, Sequence[int]]:
     return effect.fault, effect.kind, tuple(effect.targets)
 
 
+class LinkFaults(NamedTuple):
+    """The lost and late link messages of S steps."""
+
+    lost: Mask
+    """(S, 2E)"""
+    late: Index | None
+    """steps by which link messages are late, (S, 2E); None if none is"""
+    active: Sequence[bool]
+    """by step: True if any message is lost or late"""
+
+
 @dataclass(frozen=True)
 class ActiveFaults:
     """The faults active at one step; None for each kind without a fault."""
@@ -131,6 +142,8 @@ class Faults:
         self._jumps: list[Effect] = []
         self._first, self._block = 0, list[ActiveFaults | None]()
         """the faults of some steps from the first one on"""
+        self._struck_in_block: dict[str, Any] = {}
+        """of these steps, the targets by field of ActiveFaults, (S, targets)"""
 
     def add(self, effects: Sequence[Effect]) -> None:
         """Add effects that are valid from now on."""
@@ -169,6 +182,27 @@ class Faults:
             self._first, self._block = t, self._faults_from(t)
         return self._block[t - self._first]
 
+    def of_links(self, t: int, most: int) -> LinkFaults | None:
+        """Return the faults of link messages from step t on, of at most `most` steps without any other fault.
+
+        None if no effect is active at t, or another fault is.
+        """
+        self.at(t)
+        if not self._active or self._dead:
+            return None
+        start, found = t - self._first, self._struck_in_block
+        block, stop = self._block[start : start + most], 0
+        for active in block:
+            if active is not None and not (active.cut is None and active.blind is None and active.mute is None):
+                break
+            stop += 1
+        if not stop:
+            return None
+        steps, links = slice(start, start + stop), self._sizes[INCIDENCES]
+        lost = found["lost"][steps] if "lost" in found else np.zeros((stop, links), dtype=bool)
+        late = found["late"][steps] if "late" in found else None
+        return LinkFaults(lost, late, [active is not None for active in block[:stop]])
+
     def _faults_from(self, t: int) -> list[ActiveFaults | None]:
         """Return the faults at some steps from t on, computed at once, while the same effects are active."""
         most = max(1, min(BLOCK, BLOCK_BYTES // max(1, *self._sizes.values())))
@@ -186,6 +220,7 @@ class Faults:
                 found[field] = np.zeros((len(steps), self._sizes[effect.of]), dtype=kind)
             by = effect.by if field == "late" else True
             found[field][rows, targets] = np.maximum(found[field][rows, targets], by)
+        self._struck_in_block = found
         struck = {field: values.any(axis=1).tolist() for field, values in found.items()}
         return [
             ActiveFaults(**here) if (here := {field: found[field][k] for field in found if struck[field][k]}) else None

@@ -7,7 +7,6 @@ step, at both ends. So no old value is held, and no flow is one-sided (docs/theo
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,17 +17,18 @@ import numpy as np
 
 from hedgerow.plant.disturbance import Disturbance
 from hedgerow.plant.faults import ActiveFaults, Faults
-from hedgerow.plant.links import Deliveries, Links
+from hedgerow.plant.link_states import LinkStates, Places
+from hedgerow.plant.links import Deliveries, Forecast, Links
 from hedgerow.plant.truth import Truth
 from hedgerow.topologies.effects import Effect
 from hedgerow.topologies.fast import kernels_for, unequal_kernels_for
 from hedgerow.topologies.graph import Array, Gain, Graph, Index, Mask, all_finite
-from hedgerow.wire.codec import join, pack_flags
+from hedgerow.wire.codec import join
 from hedgerow.wire.history import History
-from hedgerow.wire.message import ALL_UP, TAKEN, Buffer, Flag, Flags, Record, Span, State, Telemetry
+from hedgerow.wire.message import TAKEN, Buffer, Flag, Flags, Record, State, Telemetry
 
-FEW_LINKS = 64
-"""up to this number, Python goes through all links faster than numpy finds those with spans"""
+TOGETHER = 2**12
+"""the number of links, over all steps, that are looked at together"""
 
 
 def dynamics(a: Array, b: Gain, graph: Graph, x: Array, u: Array, w: Array, edge_open: Mask | None = None) -> Array:
@@ -71,7 +71,7 @@ class _Step:
     """Flag bits by incidence, (2E,); None if all are set and there is no other message"""
     absent: Mask | None = None
     """None for no node"""
-    back: Mask | None = None
+    returning: Mask | None = None
     """nodes that were absent at the step before; None for no node"""
     deliveries: Deliveries | None = None
     """None if every link delivers the row of t alone"""
@@ -96,18 +96,19 @@ class _Made(NamedTuple):
 
 
 class _Ahead(NamedTuple):
-    """The links at t + 1, and what the shards learn of them, if every node acts at t and only links fail at t + 1."""
+    """The links of the next steps, if every node acts at them."""
 
+    first: int
+    """the first of these steps"""
     changes: int
     """of the faults, when this was computed"""
-    links: Links
-    """after the deliveries of t, and with those of t + 1 planned"""
-    deliveries: Deliveries
-    """at t + 1"""
-    flags: Flags
-    """Flag bits by incidence at t + 1, (2E,)"""
-    tails: Sequence[bytes]
-    """By shard: its state message of t + 1 behind the states."""
+    forecast: Forecast
+    states: LinkStates
+
+    @property
+    def stop(self) -> int:
+        """The step after the last of these."""
+        return self.first + len(self.forecast.complete)
 
 
 class World:
@@ -130,26 +131,20 @@ class World:
         self._record = History(truth.history, graph.n, graph.n, len(graph.edges))
         self.order: Index = np.concatenate(truth.shards)
         """Nodes in the order of the shards."""
-        of_node = np.empty(graph.n, dtype=np.int64)
-        of_node[self.order] = np.repeat(np.arange(len(truth.shards)), [len(nodes) for nodes in truth.shards])
-        self._home: Index = of_node[graph.node]
-        """Per incidence: the shard of its node."""
-        incidence_order = self._home.argsort(kind="stable")
-        stops = np.bincount(self._home, minlength=len(truth.shards)).cumsum()
+        shard_of = np.empty(graph.n, dtype=np.int64)
+        shard_of[self.order] = np.repeat(np.arange(len(truth.shards)), [len(nodes) for nodes in truth.shards])
+        self._places = Places(graph, shard_of, len(truth.shards))
         self._parts = [
             _Part(nodes, incidences)
-            for nodes, incidences in zip(truth.shards, np.split(incidence_order, stops[:-1]), strict=True)
+            for nodes, incidences in zip(
+                truth.shards, np.split(self._places.order, self._places.stops[:-1]), strict=True
+            )
         ]
-        self._place, self._incidence_place = self.order.argsort(), incidence_order.argsort()
-        first = np.concatenate([[0], stops[:-1]])
-        self._local: Index = self._incidence_place - first[self._home]
-        """Per incidence: its index within its shard."""
-        self._incidence_order: Index = incidence_order
+        self._place, self._incidence_place = self.order.argsort(), self._places.order.argsort()
         e = len(graph.edges)
         self._all_open: Flags = np.ones(e, dtype=np.uint8)
         self._all_up: Flags = np.ones(2 * e, dtype=np.uint8)
         self._all_taken: Flags = np.full(2 * e, TAKEN, dtype=np.uint8)
-        self._up_bytes = [bytes([ALL_UP]) * len(part.incidences) for part in self._parts]
         self._taken_bytes = [bytes([TAKEN]) * len(part.incidences) for part in self._parts]
         self.whole = True
         """True if, at t - 1, all edges were open, all links were up and every input was used"""
@@ -158,34 +153,34 @@ class World:
         self._received: Deliveries | None = None
         """the deliveries at t - 1; None if every link delivered the row of that step alone"""
         self._now = _Step(self.x, self.x)
+        self._states: LinkStates | None = None
+        """what the shards learn of their links at t; None if nothing is missing"""
         self._ahead: _Ahead | None = None
-        """the links of the next step; after `advance`, those of this step"""
-        self._tails: Sequence[bytes] | None = None
-        """By shard: its state message of t behind the states; None if the message has to be made as a whole."""
+        """the links of t and later steps; None unless only link messages fail at t"""
 
     # The first half of a step: what holds at t, and the messages to the shards.
 
     def begin(self) -> None:
         """Decide which faults, edges and links hold at t."""
         t, faults, links, graph = self.t, self.faults, self.links, self.graph
+        if (ahead := self._ahead) is not None and ahead.changes == faults.changes and t < ahead.stop:
+            self._begin_ahead(ahead)
+            return
         before = self._now.absent
         active, gone, soon = None, None, None
-        ahead, self._ahead, self._tails = self._ahead, None, None
-        if ahead is not None and ahead.changes == faults.changes:
-            self._now = _Step(self.x, self.x, ahead.flags, deliveries=ahead.deliveries)
-            self._tails = ahead.tails
-            return
+        self._ahead = self._states = None
         if not (faults.none_at(t) and faults.none_at(t + 1)):
             for node, a in faults.jumps(t):
                 self.a[node] = a
             active, gone, soon = faults.at(t), faults.absent(t), faults.absent(t + 1)
         if active is None and gone is None and soon is None and before is None and links.complete:
-            quiet = self._open is None and self._received is None
             self._now = _Step(self.x, self.x)
-            if quiet:
-                self._tails = self._no_tails
-            else:
-                self._now.flags = self._flags(self._open, self._received, links.whole)
+            if self._open is not None or self._received is not None:
+                self._note_links(None)
+            return
+        if before is None and (ahead := self._links_ahead()) is not None:
+            self._ahead = ahead
+            self._begin_ahead(ahead)
             return
         active = active or ActiveFaults()
         down: Mask = np.zeros(len(graph.node), dtype=bool) if gone is None else gone[graph.neighbour]
@@ -198,17 +193,31 @@ class World:
         deliveries = links.plan(down, active.late)
         read = self.x if active.blind is None else np.where(active.blind, np.nan, self.x)
         sent = read if gone is None else np.where(gone, np.nan, read)
-        back = before if before is None or gone is None else before & ~gone
-        flags = self._flags(self._open, self._received, deliveries)
-        self._now = _Step(sent, read, flags, gone, back, deliveries, active.cut, active.mute)
+        returning = before if before is None or gone is None else before & ~gone
+        self._now = _Step(sent, read, None, gone, returning, deliveries, active.cut, active.mute)
+        self._note_links(deliveries)
 
-    def _flags(self, edge_open: Flags | None, received: Deliveries | None, deliveries: Deliveries) -> Flags:
-        """Return the Flag bits of a step: the open edges and the deliveries of the step before, and its deliveries."""
-        graph, received = self.graph, received or self.links.whole
-        flags = (self._all_open if edge_open is None else edge_open).take(graph.edge)
-        flags |= received.some.view(np.uint8) << 1
-        flags |= deliveries.some.take(graph.reverse).view(np.uint8) << 2
-        return flags
+    def _note_links(self, deliveries: Deliveries | None) -> None:
+        """Compute what the shards learn of their links at t; None if every link delivers the row of t alone."""
+        received, sent = (one or self.links.whole for one in (self._received, deliveries))
+        self._states = LinkStates(self._places, self._open, received.alone, sent.alone)
+        self._now.flags = self._states.flags[0]
+
+    def _links_ahead(self) -> _Ahead | None:
+        """Compute the links of t and later steps together; None unless link messages fail at t, and nothing else."""
+        faults = self.faults.of_links(self.t, max(1, TOGETHER // max(1, len(self.graph.node))))
+        if faults is None:
+            return None
+        forecast = self.links.forecast(faults)
+        sent, received = forecast.deliveries, self._received or self.links.whole
+        states = LinkStates(self._places, self._open, sent.one_earlier(received), sent)
+        return _Ahead(self.t, self.faults.changes, forecast, states)
+
+    def _begin_ahead(self, ahead: _Ahead) -> None:
+        k = self.t - ahead.first
+        self._states = ahead.states
+        deliveries = None if ahead.forecast.whole[k] else ahead.forecast.deliveries.at(k)
+        self._now = _Step(self.x, self.x, ahead.states.flags[k], deliveries=deliveries)
 
     def present(self, p: int) -> bool:
         """Return True if shard p has a node that is present at t."""
@@ -231,9 +240,13 @@ class World:
 
         None if a node is absent or has no reading, or if the messages are not made yet.
         """
-        if self._tails is None:
+        if self._now.flags is None:
+            tails = self._no_tails
+        elif self._ahead is not None:
+            tails = self._ahead.states.tails(self.t - self._ahead.first)
+        else:
             return None
-        return self._now.sent if self._in_order else self._now.sent.take(self.order), self._tails
+        return self._now.sent if self._in_order else self._now.sent.take(self.order), tails
 
     @cached_property
     def _no_tails(self) -> Sequence[bytes]:
@@ -244,83 +257,38 @@ class World:
         now, t = self._now, self.t
         x = now.sent if self._in_order else now.sent.take(self.order)
         if now.flags is None:
-            return [(State(t, x[own], b""), None) for own in self._places]
+            return [(State(t, x[own], b""), None) for own in self._slices]
         messages: list[tuple[State | None, Record | None]] = []
-        parts = self._link_parts(now.flags, self._received, now.deliveries)
+        assert self._states is not None, "there are flags"
+        parts = self._states.parts(0 if self._ahead is None else t - self._ahead.first)
         for p, (part, (flags, spans)) in enumerate(zip(self._parts, parts, strict=True)):
             if not self.present(p):
                 messages.append((None, None))
             else:
-                messages.append((State(t, x[self._places[p]], flags, spans), self._record_of(part)))
+                messages.append((State(t, x[self._slices[p]], flags, spans), self._record_of(part)))
         return messages
 
-    def _link_parts(
-        self, flags: Flags, received: Deliveries | None, sent: Deliveries | None
-    ) -> list[tuple[bytes, Sequence[Span]]]:
-        """Return, by shard, its Flag bits, empty if all are set, and its spans."""
-        spans, flags_of_all, stop = self._spans(received, sent), flags.take(self._incidence_order).tobytes(), 0
-        parts: list[tuple[bytes, Sequence[Span]]] = []
-        for p, up in enumerate(self._up_bytes):
-            start, stop = stop, stop + len(up)
-            own, own_spans = flags_of_all[start:stop], spans.get(p, ())
-            parts.append((b"" if own == up and not own_spans else own, own_spans))
-        return parts
-
     @cached_property
-    def _places(self) -> list[slice]:
+    def _slices(self) -> list[slice]:
         """Return, by shard, the slice of its nodes in the order of the shards."""
         stops = np.cumsum([len(part.nodes) for part in self._parts]).tolist()
         return [slice(stop - len(part.nodes), stop) for stop, part in zip(stops, self._parts, strict=True)]
 
-    def _spans(self, received: Deliveries | None, sent: Deliveries | None) -> dict[int, list[Span]]:
-        """Return, by shard, the spans of the incidences that deliver other rows than that of the step alone."""
-        reverse, whole = self.graph.reverse, self.links.whole
-        received, sent = received or whole, sent or whole
-        columns = [received.late, received.back, sent.late.take(reverse), sent.back.take(reverse)]
-        places = [self._home, self._local]
-        if len(reverse) > FEW_LINKS:
-            found = np.flatnonzero(np.any(columns, axis=0))
-            columns, places = ([one.take(found) for one in some] for some in (columns, places))
-        spans: dict[int, list[Span]] = {}
-        for p, c, *numbers in zip(*(column.tolist() for column in (*places, *columns)), strict=True):
-            if any(numbers):
-                spans.setdefault(p, []).append(Span(c, *numbers))
-        return spans
-
     def _record_of(self, part: _Part) -> Record | None:
-        if self._now.back is None or not (back := self._now.back[part.nodes]).any():
+        if self._now.returning is None or not (returning := self._now.returning[part.nodes]).any():
             return None
-        nodes, record = part.nodes[back], self._record
+        nodes, record = part.nodes[returning], self._record
         edges = self.graph.edge[part.incidences[np.isin(self.graph.node[part.incidences], nodes)]]
         first = record.first if record.next else self.t
         x, u = record.x(first, self.t)[:, nodes], record.u(first, self.t)[:, nodes]
-        return Record(self.t, back, first, x.copy(), u.copy(), record.bits(first, self.t)[:, edges].copy())
+        return Record(self.t, returning, first, x.copy(), u.copy(), record.bits(first, self.t)[:, edges].copy())
 
     def look_ahead(self) -> None:
-        """Compute w(t), and what the links do at t + 1, while the plant waits for the inputs of t."""
+        """Compute w(t), and the links of t + 1 if they are known, while the plant waits for the inputs of t."""
         self._next_w = self._w()
-        self._ahead = self._links_ahead()
-
-    def _links_ahead(self) -> _Ahead | None:
-        """Return the links of t + 1; None if nothing is lost there, or if it depends on the inputs of t."""
-        now, faults, t = self._now, self.faults, self.t + 1
-        alone = now.cut is None and now.mute is None and now.absent is None and now.back is None
-        if not alone or (faults.none_at(t) and now.deliveries is None and self.links.complete):
-            return None
-        if faults.absent(t - 1) is not None or faults.absent(t) is not None or faults.absent(t + 1) is not None:
-            return None
-        active = faults.at(t) or ActiveFaults()
-        if faults.jumps(t) or not (active.cut is None and active.blind is None and active.mute is None):
-            return None
-        links = copy.copy(self.links)
-        links.commit(now.deliveries)
-        if faults.none_at(t) and faults.none_at(t + 1) and links.complete:
-            return None
-        down = np.zeros(len(self.graph.node), dtype=bool) if active.lost is None else active.lost
-        deliveries = links.plan(down, active.late)
-        flags = self._flags(None, now.deliveries, deliveries)
-        tails = [pack_flags(*one) for one in self._link_parts(flags, now.deliveries, deliveries)]
-        return _Ahead(faults.changes, links, deliveries, flags, tails)
+        self.faults.at(self.t + 1)  # the faults of many steps are computed together
+        if (ahead := self._ahead) is not None and self.t + 1 < ahead.stop:
+            ahead.states.tails(self.t + 1 - ahead.first)
 
     def _w(self) -> Array:
         if self._disturbance.sees_state:
@@ -344,7 +312,7 @@ class World:
         everybody = gone is None and all_finite(u)
         quiet = now.flags is None and everybody
         if self._ahead is not None and everybody:
-            self.links = self._ahead.links
+            self.links.follow(self._ahead.forecast, t - self._ahead.first)
         else:
             self._ahead = None
             if not quiet:
@@ -416,9 +384,9 @@ class World:
             report = np.where(gone, np.nan, report)
             taken = bits = np.where(gone[node], np.uint8(0), bits)
             up = None if up is None else up & ~gone[node]
-        if now.back is not None and now.back.any():
+        if now.returning is not None and now.returning.any():
             # Messages from before their return are back-filled, not received in time.
-            taken = np.where(now.back[node], bits & np.uint8(~Flag.RECEIVE & 0xFF), bits)
+            taken = np.where(now.returning[node], bits & np.uint8(~Flag.RECEIVE & 0xFF), bits)
         return report, taken, None if up is None else up.view(np.uint8)
 
     @cached_property

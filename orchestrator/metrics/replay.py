@@ -351,6 +351,9 @@ class _Some(Faults):
         found = {name: getattr(active, name) for name in self._targets}
         return ActiveFaults(**{name: None if one is None else one[self._targets[name]] for name, one in found.items()})
 
+    def of_links(self, t: int, most: int) -> None:
+        """Return None: the faults of a part are taken step by step."""
+
     def absent(self, t: int) -> Mask | None:
         absent = self._whole.absent(t)
         return None if absent is None else absent[self._targets["blind"]]

@@ -124,4 +124,5 @@ def test_the_links_of_a_step_with_drops_are_planned_while_the_agents_work() -> N
     written = yaml.safe_load(to_yaml(topology)) | {"faults": drops, "steps": 50}
     with mock.patch.object(reference, "World", Counting):
         simulate(resolve(parse(json.dumps(written).encode(), "drops", Path())), [[k] for k in range(7)])
-    assert [t for t, ready in planned.items() if not ready] == [0, 1]
+    assert len(planned) == 50
+    assert all(planned.values())

@@ -10,11 +10,10 @@ import numpy as np
 
 from hedgerow.agents.law import Array
 from hedgerow.plant.disturbance import Disturbance
-from hedgerow.plant.faults import ActiveFaults, Faults
+from hedgerow.plant.faults import Faults
 from hedgerow.plant.truth import Truth
 from hedgerow.plant.world import World
 from hedgerow.topologies.effects import Effect
-from hedgerow.topologies.graph import Mask
 from hedgerow.wire.message import Telemetry
 from tests.tools.watched_network import NODE
 
@@ -131,18 +130,8 @@ class LongerCrash(_Changed):
 class OtherLots(_Changed):
     """Drops a message without a fault in the file."""
 
-    def begin(self) -> None:
-        at = self.faults.at
-
-        def lost(t: int) -> ActiveFaults | None:
-            if t != 12:
-                return at(t)
-            dropped: Mask = np.arange(len(self.graph.node)) == int(self.graph.first[NODE - 1])
-            return replace(at(t) or ActiveFaults(), lost=dropped)
-
-        self.faults.at = lost  # type: ignore[method-assign]
-        super().begin()
-        self.faults.at = at  # type: ignore[method-assign]
+    def kept(self, effects: Sequence[Effect]) -> Sequence[Effect]:
+        return [*effects, Effect(len(effects), "drop", (int(self.graph.first[NODE - 1]),), 12, 13)]
 
 
 class OneSidedCut(_Changed):
