@@ -186,7 +186,7 @@ def worst(
         if (seen := hunt.best_score() ** 0.5) > found.limit * (1 + UNREPEATED):
             say(
                 f"{found.limit:.4f} counts: the {seen:.4f} of the search has no longer run that repeats it;"
-                " more --steps or another --seed may help"
+                " another --seed, or other --steps, may help"
             )
         return found
 
