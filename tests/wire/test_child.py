@@ -83,7 +83,7 @@ def test_a_second_signal_ends_a_process_that_hangs_while_it_ends_in_good_order()
 
 
 def test_a_process_that_hangs_in_a_full_pipe_ends_as_well() -> None:
-    """Nobody reads its output."""
+    """No process reads its output."""
     command = [sys.executable, "-c", LOUD]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         try:
