@@ -1,4 +1,4 @@
-"""Files that a user gives in place of a topology: what each is, and the command that takes it."""
+"""Files that a user gives in place of a topology: the kind of each, and the command that takes it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _CLASS = re.compile(rb"^class\s+([A-Za-z_]\w*)", re.MULTILINE)
 
 
 class Mistaken(NamedTuple):
-    """What a file is by its name, and what to do with it."""
+    """A file of another kind: its kind by its name, and the fix."""
 
     what: str
     cure: str

@@ -122,7 +122,7 @@ def test_an_entry_of_an_older_release_is_still_found(
 def test_a_run_that_is_over_and_keeps_its_page_is_no_running_network(
     listed: contextlib.ExitStack, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its plant has ended: a request would wait for a router in vain."""
+    """Its plant has ended: a request would wait 10 s for a router that has ended too."""
     announce(listed, monkeypatch, "pair-1", tmp_path)
     folder = tmp_path / "runs" / "pair-1"
     assert not registry.find(None).is_over
