@@ -1,7 +1,8 @@
 """The places of the nodes in the picture of a network: the same places for the same file.
 
     a tree     its levels below each other, the first node of the file on top; a bushy one in rings around its centre
-    others     stress majorisation: distances on paper as near as can be to those in the graph
+    others     stress majorisation: distances on paper as near as can be to those in the graph; then nodes are moved off
+               the edges of other nodes
 
 Distances are in mean edge lengths; y points down.
 """
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components, shortest_path
 
+from hedgerow.orchestrator.views.clearance import cleared
 from hedgerow.topologies.graph import Graph, Index
 from hedgerow.topologies.schema import Topology
 
@@ -80,7 +82,12 @@ def _component(matrix: csr_matrix) -> Places:
     if n == 1:
         return np.zeros((1, 2))
     neighbours = [matrix.indices[matrix.indptr[k] : matrix.indptr[k + 1]] for k in range(n)]
-    places = _tree(neighbours) if edges == n - 1 else _upright(_stress(matrix), matrix)
+    if edges == n - 1:
+        places = _tree(neighbours)
+    else:
+        node, neighbour = matrix.nonzero()
+        ends = np.stack([node, neighbour], axis=1)[node < neighbour]
+        places = _upright(cleared(_stress(matrix), ends), matrix)
     return np.asarray(places - places.min(axis=0))
 
 

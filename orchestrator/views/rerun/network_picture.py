@@ -21,6 +21,7 @@ from hedgerow.orchestrator.views import palette
 from hedgerow.orchestrator.views.groups import Groups, Scene
 from hedgerow.orchestrator.views.layout import Places, placed, positions
 from hedgerow.orchestrator.views.palette import Packed, flow_colors, packed, state_colors, thickness
+from hedgerow.orchestrator.views.rerun.name_places import name_places
 from hedgerow.topologies.graph import Graph, Index, Mask
 from hedgerow.topologies.record import WHOLE
 from hedgerow.topologies.schema import Topology
@@ -34,6 +35,10 @@ SPARSE = 300
 """up to this number of nodes, all distances are compared"""
 FADE = 0.85
 """the decay per step of the peak that sets the upper end of a scale"""
+VIEW_PX = (427, 480)
+"""the size of the picture in a window of 1280 by 800 [px]"""
+COLORED = "each node's lines have the colour of its name"
+"""the legend of the plots: a list of more than a few nodes would cover a plot or be clipped"""
 _DASHES = np.array([[0.0, 0.26], [0.4, 0.62], [0.76, 0.96]])
 _STUMP = 0.42
 _HIDDEN, _LOST, _CUT, _BOTH = (packed(c) for c in (palette.BACKGROUND, palette.LOST, palette.CUT, palette.BOTH))
@@ -131,7 +136,7 @@ class Picture:
         self._starts, self._middles = self._halves()
         self._nowhere = np.repeat(self.places[:1, None], 2, axis=1).astype(np.float32)
         """an invisible line: if a row has no line at all, Rerun keeps the lines of the previous row"""
-        self.legend = Legend(self.places, self._radius)
+        self.legend = Legend(self.places, self._radius, colored=1 < self._graph.n <= NAMED)
 
     def _halves(self) -> tuple[Places, Places]:
         """Return each half edge, from the rim of its node to the middle."""
@@ -163,13 +168,13 @@ class Picture:
             worst = rr.Points2D.from_fields(colors=[palette.TEXT], radii=[-1.0], show_labels=True, draw_order=6.0)
             stream.log("network/worst", worst, static=True)
         else:
-            # Rerun writes a name below its point, where the edges of a tree are: move it.
-            beside = self.places + self._radius * np.array([2.3, -0.9])
+            named = [self._name(k) for k in range(n)]
+            beside, _ = name_places(self.places, self._graph.edges, self._radius, named, self.legend.pixel)
             names = rr.Points2D(
                 beside,
                 radii=[0.001] * n,
                 colors=palette.hues(n),
-                labels=[self._name(k) for k in range(n)],
+                labels=named,
                 show_labels=True,
                 draw_order=6.0,
             )
@@ -285,7 +290,7 @@ def _radius(places: Places) -> float:
 class Legend:
     """The legend of the colours, below the network, and the bounds of both."""
 
-    def __init__(self, places: Places, radius: float) -> None:
+    def __init__(self, places: Places, radius: float, colored: bool = False) -> None:
         low, high = places.min(axis=0) - 3 * radius, places.max(axis=0) + 3.5 * radius
         width, height = np.maximum(high - low, 1.0)
         self._unit = unit = max(float(width) / 6, float(height) / 4)
@@ -294,7 +299,11 @@ class Legend:
         """the x of the symbols, in two rows with names below"""
         self.y = float(high[1]) + unit * np.array([0.45, 1.1])
         self.x_range = (centre - 3.1 * unit, centre + 3.1 * unit)
-        self.y_range = (float(low[1]), float(high[1]) + 1.65 * unit)
+        self.colored = colored
+        """True if the names have the colours of the lines"""
+        self.y_range = (float(low[1]), float(high[1]) + (2.05 if colored else 1.65) * unit)
+        self.pixel = max(6.2 * unit / VIEW_PX[0], (self.y_range[1] - self.y_range[0]) / VIEW_PX[1])
+        """the length of a pixel in a window of 1280 by 800"""
 
     def log_static(self, stream: rr.RecordingStream) -> None:
         """Send the symbols."""
@@ -339,15 +348,12 @@ class Legend:
         words += ["no flow", "strong flow", "lost one", "lost both", "edge cut"]
         below = np.array([[x, y + 0.2 * unit] for y in (first, second) for x in self.x])
         labelled = [k for k, word in enumerate(words) if word]
+        at, said = below[labelled], [words[k] for k in labelled]
+        if self.colored:
+            at, said = np.vstack([at, [self.x[2], second + 0.6 * unit]]), [*said, COLORED]
         stream.log(
             "network/legend/words",
-            rr.Points2D(
-                below[labelled],
-                radii=[-0.1] * len(labelled),
-                colors=[palette.TEXT] * len(labelled),
-                labels=[words[k] for k in labelled],
-                show_labels=True,
-            ),
+            rr.Points2D(at, radii=[-0.1] * len(said), colors=[palette.TEXT] * len(said), labels=said, show_labels=True),
             static=True,
         )
         scale = rr.Points2D([below[1]], radii=[-0.1], colors=[palette.TEXT], show_labels=True)

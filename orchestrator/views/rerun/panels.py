@@ -33,9 +33,9 @@ from hedgerow.wire.message import RoundTripTimes
 
 Matrix = NDArray[np.float64]
 
-LEGEND_NODES = 10
-"""the maximum number of nodes for a legend: a longer one would cover the plot, and the picture and the lines show names
-too
+LEGEND_NODES = 7
+"""the maximum number of nodes for a legend: the viewer clips a longer one in a window of 1280 by 800, and the names in
+the picture have the colours too
 """
 LINES = 10_000
 """the maximum number of nodes or edges with a line"""
@@ -341,7 +341,8 @@ def peak_of(kind: str, values: Mapping[str, NDArray[Any]]) -> Matrix:
 
 def _totals(topology: Topology, gamma_star: float) -> list[rrb.Tabs | rrb.TimeSeriesView]:
     """Return the panels of the costs."""
-    gain = rrb.ScalarAxis(range=(0.0, 4 * gamma_star), zoom_lock=False) if gamma_star > 0 else None
+    # Start a little below 0: at the border, the number 0 would cover the first step of the axis of time.
+    gain = rrb.ScalarAxis(range=(-0.25 * gamma_star, 4 * gamma_star), zoom_lock=False) if gamma_star > 0 else None
     return [
         rrb.Tabs(
             _plot("Regret D", "regret_sum", legend="RightBottom"),
