@@ -73,5 +73,5 @@ def _name_sources(_app: Sphinx, _path: Path, _page: str, content: list[str]) -> 
 
 
 def _unmark(_app: Sphinx, _page: str, content: list[str]) -> None:
-    """Remove `# not run` behind commands, which tells our tests to leave them out."""
+    """Remove `# not run` behind commands: our tests leave out a command with this mark."""
     content[0] = re.sub(r"(?m)^(\$ .*?) +# not run[^\n]*$", r"\1", content[0])
