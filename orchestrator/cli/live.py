@@ -74,11 +74,15 @@ def ps(as_json: AsJson = False) -> int:
 
     entries = registry.running()
     if as_json:
-        echo(json.dumps([{**vars(entry), "over": entry.is_over} for entry in entries]))
+        listed = (
+            {**vars(entry), "over": entry.is_over, "verdict": (entry.verdict or None) if entry.is_over else None}
+            for entry in entries
+        )
+        echo(json.dumps([*listed]))
         return 0
     for entry in entries:
         since = datetime.fromtimestamp(entry.started).strftime("%H:%M:%S")
-        over = "  over, its page stays" if entry.is_over else ""
+        over = f"  {entry.ending()}" if entry.is_over else ""
         echo(f"{entry.run}  pid {entry.pid}  since {since}  {entry.folder}{over}")
     if not entries:
         echo("no network is running")

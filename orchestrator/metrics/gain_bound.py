@@ -46,6 +46,11 @@ class Premise(StrEnum):
     JUMPS = "jumps"
     """any a within its list at any step as well; x+ = v - B phi + w"""
 
+    @property
+    def needs_truth(self) -> bool:
+        """Return True if a bound holds for one given a only, and False if it holds for any a(t) within the lists."""
+        return self != Premise.JUMPS
+
 
 class Method(StrEnum):
     """The program that a bound solves."""
