@@ -16,6 +16,7 @@ from string import ascii_lowercase
 from typing import Any
 
 import matplotlib.style
+from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_pdf import FigureCanvasPdf
@@ -112,7 +113,7 @@ def _use(style: str) -> None:
         if "linestyle" not in cycle.keys:
             rows = [one for _, one in zip(ours, itertools.cycle(cycle), strict=False)]
             keys = {key: [one[key] for one in rows] for key in cycle.keys}
-            matplotlib.rcParams["axes.prop_cycle"] = matplotlib.cycler(**keys, linestyle=ours)
+            matplotlib.rcParams["axes.prop_cycle"] = cycler(**keys, linestyle=ours)
     except (OSError, UserWarning, ValueError, SyntaxError, KeyError) as error:
         raise UserError(
             f"--style {style}: cannot be used: {error}. Give a .mplstyle file or the name of a style of matplotlib.",
