@@ -21,6 +21,7 @@ from hedgerow.agents.local import Local, asks
 from hedgerow.agents.view import View
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.law_choice import LawChoice
+from hedgerow.topologies.pages import page
 from hedgerow.wire import crash
 
 
@@ -57,11 +58,14 @@ def law_class(name: str) -> type[Law]:
         raise UserError(f"{where}law {name}: cannot be loaded: {why}. {cure}", code=Code.LAW) from error
     if missing := [method for method in ("act", "learn", "report") if not callable(getattr(law, method, None))]:
         raise UserError(
-            f"law {name}: has no {', '.join(missing)}(); a law has act, learn and report (docs/laws.md)", code=Code.LAW
+            f"law {name}: has no {', '.join(missing)}(); a law has act, learn and report ({page('laws')})",
+            code=Code.LAW,
         )
     if not isinstance(law, type):
         kind = type(law).__name__
-        raise UserError(f"law {name}: is no class, but of the type {kind}. Give a class (docs/laws.md).", code=Code.LAW)
+        raise UserError(
+            f"law {name}: is no class, but of the type {kind}. Give a class ({page('laws')}).", code=Code.LAW
+        )
     return law
 
 
@@ -74,7 +78,7 @@ def _cure_of_name(module: str, attribute: str) -> str:
         own = [file.stem for file in Path().glob("*.py")]
         if near := difflib.get_close_matches(module, own, 1):
             return f"Did you mean {near[0]}:{attribute}?"
-        return "Give package.module:Class, importable here (docs/laws.md)."
+        return f"Give package.module:Class, importable here ({page('laws')})."
     file = getattr(loaded, "__file__", None)
     place = f"{module} is {file}" if file else f"{module} is a module of Python"
     classes = [one for one, value in vars(loaded).items() if isinstance(value, type)]

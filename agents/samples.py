@@ -146,13 +146,13 @@ class Samples:
         used: bytes,
         x_next: Array,
         late_rows: Sequence[LateRows],
-        back: Mask | None,
+        returning: Mask | None,
         states: Array | None = None,
     ) -> None:
         """Learn the sample of t under these Flag bits, after the earlier samples that are now complete.
 
-        `late_rows` are the rows of earlier steps that arrived; `back` are nodes that learn again from the oldest row.
-        `states` are as in `take`.
+        `late_rows` are the rows of earlier steps that arrived; `returning` are nodes that learn again from the oldest
+        row. `states` are as in `take`.
         """
         row = states if self.asks and states is not None else x
         bits = np.frombuffer(used, np.uint8)
@@ -163,16 +163,16 @@ class Samples:
                 self._mark(t)
             self._append(x, row, u, bits)
             since = self._completed(late_rows)
-            if back is not None:
-                self._forget(back)
-                since |= dict.fromkeys(np.flatnonzero(back).tolist(), self._history.first)
+            if returning is not None:
+                self._forget(returning)
+                since |= dict.fromkeys(np.flatnonzero(returning).tolist(), self._history.first)
             self._learn_again(since, t)
             # A row of t itself closes a gap, because all earlier rows arrive with it.
             self._behind = {c for c in self._behind if not used[c] & Flag.RECEIVE}
             if wants:
                 self._behind.update(np.flatnonzero(bits == _OPEN).tolist())
-        elif back is not None:
-            self._forget(back)
+        elif returning is not None:
+            self._forget(returning)
         flow = self._flow(u, bits)
         self._learn(x, flow, x_next, self._received(t, self._everybody, row, u, bits))
         self._learned[np.isfinite(flow)] = t
@@ -194,8 +194,8 @@ class Samples:
             self._history.begin_at(first, last)
             self._marks.clear()
             self._behind.clear()
-        nodes = np.flatnonzero(record.back)
-        incidences = np.flatnonzero(record.back[self._row])
+        nodes = np.flatnonzero(record.returning)
+        incidences = np.flatnonzero(record.returning[self._row])
         steps = len(self._history.x(first, last))
         past = slice(len(record.x) - 1 - steps, len(record.x) - 1)
         self._history.x(first, last)[:, nodes] = record.x[past]

@@ -11,13 +11,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hedgerow.agents.float_law import FloatForms, FloatLaw
 from hedgerow.agents.law import Array, Law
 from hedgerow.agents.law_lines import line_of, place_of, running
 from hedgerow.agents.loading import LawError, new_law, reals
 from hedgerow.agents.local import asks
 from hedgerow.agents.newest import Newest
 from hedgerow.agents.peer import Peer
-from hedgerow.agents.quiet import QuietForms, QuietLaw
 from hedgerow.agents.samples import LateRows, Samples
 from hedgerow.agents.view import View
 from hedgerow.topologies.graph import Index, all_finite
@@ -71,9 +71,9 @@ class Shard:
         self._samples = Samples(self._law, view.history, self._row, ends, stops[-1], view.weights)
         self._newest = Newest(view, self._samples) if asks(self._law.act, "now") else None
         """the newest values of the neighbours, for a law that acts on them"""
-        self._quiet = QuietLaw.of(view, self._law)
+        self._floats = FloatLaw.of(view, self._law)
         """makes the quiet steps of a few nodes; None for other shards and laws"""
-        self._forms = QuietForms(self.k, [None if nodes is None else nodes.tolist() for nodes, _ in self.audience])
+        self._forms = FloatForms(self.k, [None if nodes is None else nodes.tolist() for nodes, _ in self.audience])
         self._record: Record | None = None
         self.t = -1
         """The last step answered."""
@@ -81,7 +81,7 @@ class Shard:
         self._u: Array = np.zeros(self.k)
         self._report: Array = np.full((REPORT_ROWS, self.k), np.nan)
         self._behind = False
-        """True while these three are of an older step, and the quiet law has the newest"""
+        """True while these three are of an older step, and the law in floats has the newest"""
         self.used = b""
         """The used inputs of the step before: Flag bits by incidence; empty if every input was used."""
 
@@ -127,82 +127,82 @@ class Shard:
 
     def step(self, state: State) -> None:
         """Make the step of `answer`, and return nothing: arrays of a step in floats would be made for it."""
-        t, x, quiet = state.t, state.x, self._quiet
-        if quiet is not None and quiet.has_memory:
-            if t == self.t + 1 and self._step_in_floats(state, quiet):
+        t, x, floats = state.t, state.x, self._floats
+        if floats is not None and floats.is_active:
+            if t == self.t + 1 and self._step_in_floats(state, floats):
                 return
-            self._leave_floats(quiet)
+            self._leave_floats(floats)
         record = self._record if self._record is not None and self._record.t == t else None
         try:
             if record is not None:
                 self._restore(record)
             if t > 0:
-                self._close(state, record.back if record is not None else None)
+                self._close(state, record.returning if record is not None else None)
         except (Exception, SystemExit) as error:
             raise self._raised("learn", error) from error
         self._record = None
         u = self._act(t, x)
-        if quiet is not None:
-            possible = t > 0 and record is None and quiet.can_make(state.flags, state.spans)
-            quiet.count_general(possible, x, u, self._report, self._samples)
+        if floats is not None:
+            possible = t > 0 and record is None and floats.can_make(state.flags, state.spans)
+            floats.enter_after(possible, x, u, self._report, self._samples)
 
     def answer_quietly(self, message: bytes) -> list[bytes] | None:
         """Return the answer to a state message: one link message per entry of `audience`, and the input message.
 
         Return None, with nothing changed, if the step is not quiet: then decode the message and call `answer`.
         """
-        quiet = self._quiet
-        if quiet is None or not quiet.has_memory or (x := self._forms.states(message, self.t + 1)) is None:
+        floats = self._floats
+        if floats is None or not floats.is_active or (x := self._forms.states(message, self.t + 1)) is None:
             return None
-        if not self._step_quietly(x, quiet):
+        if not self._step_quietly(x, floats):
             return None
-        return self._forms.pack(self.t, x, quiet.u, quiet.report)
+        return self._forms.pack(self.t, x, floats.u, floats.report)
 
     def answer_with_gaps(self, message: bytes) -> tuple[list[tuple[Sequence[int], bytes]], bytes] | None:
         """Return the answer to a state message, as `messages` does, if floats can make its step.
 
         Return None, with nothing changed, if they cannot: then decode the message and call `answer`.
         """
-        quiet = self._quiet
-        if quiet is None or not quiet.has_memory:
+        floats = self._floats
+        if floats is None or not floats.is_active:
             return None
-        if not quiet.has_waiting and len(message) == self._forms.quiet_bytes:
+        if not floats.waits and len(message) == self._forms.quiet_bytes:
             return None  # a quiet state, often before its link messages: do not take it apart once more
         if (state := self._forms.state(message, self.t + 1, self.m)) is None:
             return None
         x, flags, spans = state
-        if not self._step_with_gaps(x, flags, spans, quiet):
+        if not self._step_with_gaps(x, flags, spans, floats):
             return None
-        return self._packed(flags, spans, quiet) or self.messages(State(self.t, self.x, flags, spans))
+        return self._packed(flags, spans, floats) or self.messages(State(self.t, self.x, flags, spans))
 
-    def _step_quietly(self, x: Sequence[float], quiet: QuietLaw) -> bool:
+    def _step_quietly(self, x: Sequence[float], floats: FloatLaw) -> bool:
         """Make the next step without numpy and return True; False, with nothing changed, if the step is not quiet."""
         past = self.t
-        if self._record is not None or quiet.has_waiting:
+        if self._record is not None or floats.waits:
             return False
         links = [peer.mail.get(past) for peer in self.peers]
-        if None in links or (inputs := quiet.step(x, links, past)) is None:  # type: ignore[arg-type]  # none is None
+        if None in links or (inputs := floats.step(x, links, past)) is None:  # type: ignore[arg-type]  # none is None
             return False
         for peer in self.peers:
             del peer.mail[past]
-        self._samples.append_learned(quiet.states, inputs)
+        self._samples.append_learned(floats.states, inputs)
         self.t, self.used, self._behind = past + 1, b"", True
         return True
 
-    def _step_in_floats(self, state: State, quiet: QuietLaw) -> bool:
+    def _step_in_floats(self, state: State, floats: FloatLaw) -> bool:
         """Make the next step without numpy and return True; False, with nothing changed, if floats cannot make it."""
         x: list[float] = state.x.tolist()
-        if not (state.flags or state.spans or quiet.has_waiting):
-            return self._step_quietly(x, quiet)
-        return self._step_with_gaps(x, state.flags, state.spans, quiet)
+        if not (state.flags or state.spans or floats.waits):
+            return self._step_quietly(x, floats)
+        return self._step_with_gaps(x, state.flags, state.spans, floats)
 
-    def _step_with_gaps(self, x: Sequence[float], flags: bytes, spans: Sequence[Span], quiet: QuietLaw) -> bool:
+    def _step_with_gaps(self, x: Sequence[float], flags: bytes, spans: Sequence[Span], floats: FloatLaw) -> bool:
         """Make the next step in floats and return True; False, with nothing changed, if they cannot make it."""
         past = self.t
         if self._record is not None:
             return False
         links = [peer.mail.get(past) for peer in self.peers]
-        if (taken := quiet.step_with_gaps(x, links, past, flags or self._up, spans)) is None:
+        if (taken := floats.step_with_gaps(x, links, past, flags or self._up, spans)) is None:
             return False
         for peer in self.peers:
             peer.mail.pop(past, None)
@@ -212,17 +212,17 @@ class Shard:
         self.t, self._behind = past + 1, True
         return True
 
-    def _leave_floats(self, quiet: QuietLaw) -> None:
+    def _leave_floats(self, floats: FloatLaw) -> None:
         """Have the law, the samples and the arrays hold the newest numbers again."""
         self._refresh()
-        quiet.give_back()
-        if (waiting := quiet.waiting) is not None and waiting.most:
-            self._samples.wait(*waiting.hand_over())
+        floats.leave()
+        if (waiting := floats.waiting) is not None and waiting.most:
+            self._samples.wait(*waiting.leave())
 
     def _refresh(self) -> None:
-        if self._behind and (quiet := self._quiet) is not None:
-            self._x, self._u = np.array(quiet.x), np.array(quiet.u)
-            self._report, self._behind = np.array(quiet.report).reshape(REPORT_ROWS, -1), False
+        if self._behind and (floats := self._floats) is not None:
+            self._x, self._u = np.array(floats.x), np.array(floats.u)
+            self._report, self._behind = np.array(floats.report).reshape(REPORT_ROWS, -1), False
 
     @property
     def x(self) -> Array:
@@ -244,13 +244,13 @@ class Shard:
 
     def replace_inputs(self, u: Array) -> None:
         """Continue as if the inputs of the last step had been `u`, (k,)."""
-        if self._quiet is not None and self._quiet.has_memory:
-            self._leave_floats(self._quiet)
+        if self._floats is not None and self._floats.is_active:
+            self._leave_floats(self._floats)
         self._u = u
 
     def _restore(self, record: Record) -> None:
         """Restore the memory of the nodes that come back from the record; keep the mail, because it may be for them."""
-        back = record.back
+        returning = record.returning
         for peer in self.peers:
             for t in [t for t in peer.mail if t < record.t - 1]:
                 del peer.mail[t]
@@ -260,17 +260,17 @@ class Shard:
         self._samples.restore(record, anew)
         self._x, self._u = self._x.copy(), self._u.copy()
         if self._newest is not None:
-            self._newest.forget(np.ones(self.m, dtype=bool) if anew else back[self._row])
+            self._newest.forget(np.ones(self.m, dtype=bool) if anew else returning[self._row])
         if len(record.x):
-            self._x[back], self._u[back] = record.x[-1], record.u[-1]
+            self._x[returning], self._u[returning] = record.x[-1], record.u[-1]
         else:
-            self._x[back] = self._u[back] = np.nan
+            self._x[returning] = self._u[returning] = np.nan
 
-    def _close(self, state: State, back: Mask | None) -> None:
+    def _close(self, state: State, returning: Mask | None) -> None:
         """Learn earlier samples that are now complete, then the sample of t - 1."""
         past = state.t - 1
         links = [peer.take(past) for peer in self.peers]
-        if not state.flags and not state.spans and self._samples.complete and back is None:
+        if not state.flags and not state.spans and self._samples.complete and returning is None:
             self.used = b""
             # The last row of each message is its newest; here it should be the only one.
             last_rows = [
@@ -289,10 +289,10 @@ class Shard:
         ]
         used = bytearray((state.flags or self._up).translate(_TAKEN_OF))
         late_rows: list[LateRows] = []
-        for c, late, count, _, _ in state.spans:
+        for c, late, back, _, _ in state.spans:
             if used[c] & Flag.RECEIVE:
                 last = past - late
-                late_rows.append(self._received(c, links, last - count, min(last + 1, past)))
+                late_rows.append(self._received(c, links, last - back, min(last + 1, past)))
                 if late:
                     used[c] -= Flag.RECEIVE
         plain = bytes(used)
@@ -303,7 +303,7 @@ class Shard:
         inputs, states = gather([self._u, *last_rows]), self._states(links)
         if self._newest is not None and states is not None:
             self._newest.note(past, states, inputs, self.used, late_rows)
-        self._samples.take_late(past, self._x, inputs, plain, state.x, late_rows, back, states)
+        self._samples.take_late(past, self._x, inputs, plain, state.x, late_rows, returning, states)
 
     def _states(self, links: Sequence[Link | None]) -> Array | None:
         """Return our own states followed by the peers' states of the same step, for a law that asks; otherwise None."""
@@ -379,12 +379,12 @@ class Shard:
 
     def messages(self, state: State) -> tuple[list[tuple[Sequence[int], bytes]], bytes]:
         """Return the link messages of the step just answered, each with its receiving peers, and the input message."""
-        quiet = self._quiet
-        if quiet is not None and quiet.has_memory:
+        floats = self._floats
+        if floats is not None and floats.is_active:
             if not (state.flags or state.spans):
-                *packed, own = self._forms.pack(self.t, quiet.x, quiet.u, quiet.report)
+                *packed, own = self._forms.pack(self.t, floats.x, floats.u, floats.report)
                 return [(peers, one) for (_, peers), one in zip(self.audience, packed, strict=True)], own + self.used
-            if (packed_rows := self._packed(state.flags, state.spans, quiet)) is not None:
+            if (packed_rows := self._packed(state.flags, state.spans, floats)) is not None:
                 return packed_rows
         links: list[tuple[Sequence[int], bytes]] = [
             (peers, encode_link(link, self.peers[peers[0]].sends)) for peers, link in self.send(state)
@@ -392,15 +392,15 @@ class Shard:
         return links, encode_input(self.t, self.u, self.report, self.used)
 
     def _packed(
-        self, flags: bytes, spans: Sequence[Span], quiet: QuietLaw
+        self, flags: bytes, spans: Sequence[Span], floats: FloatLaw
     ) -> tuple[list[tuple[Sequence[int], bytes]], bytes] | None:
         """Return the result of `messages` from floats; None if a row is due that only the history stores."""
         t, links = self.t, list[tuple[Sequence[int], bytes]]()
         for p, first, last in self._rows_due(flags, spans):
-            if not quiet.has_rows(t, first):
+            if not floats.has_rows(t, first):
                 return None
-            links.append(([p], pack_link(t, first, self.peers[p].sends, *quiet.rows(t, first, last, p))))
-        return links, self._forms.input(t, quiet.u, quiet.report) + self.used
+            links.append(([p], pack_link(t, first, self.peers[p].sends, *floats.rows(t, first, last, p))))
+        return links, self._forms.input(t, floats.u, floats.report) + self.used
 
     def send(self, state: State) -> list[tuple[Sequence[int], Link]]:
         """Return the link messages of the step just answered, each with its receiving peers."""
@@ -413,7 +413,7 @@ class Shard:
     def _rows_due(self, flags: bytes, spans: Sequence[Span]) -> list[tuple[int, int, int]]:
         """Return the peers that receive a link message of the last step, each with the steps of its rows."""
         t, flags, due = self.t, flags or self._up, list[tuple[int, int, int]]()
-        now, steps = (t, t), {c: (t - late - count, t - late) for c, _, _, late, count in spans}
+        now, steps = (t, t), {c: (t - late - back, t - late) for c, _, _, late, back in spans}
         for p, peer in enumerate(self.peers):
             up = [steps.get(c, now) for c in peer.incidences if flags[c] & _SEND]
             if len(up) == 1:  # min and max of one would take longer than all the rest
@@ -440,11 +440,11 @@ class Shard:
     def _rows(self, peer: Peer, first: int, last: int) -> Link:
         """Return a link message with the rows of steps first to last, as far as they are stored."""
         nodes = peer.nodes
-        if (quiet := self._quiet) is not None and quiet.has_memory:
-            if quiet.has_rows(self.t, first):
-                rows = quiet.rows(self.t, first, last, self.peers.index(peer))
+        if (floats := self._floats) is not None and floats.is_active:
+            if floats.has_rows(self.t, first):
+                rows = floats.rows(self.t, first, last, self.peers.index(peer))
                 return Link(self.t, first, *(np.array(one).tobytes() for one in rows))
-            self._leave_floats(quiet)  # the history lacks the rows of samples that wait
+            self._leave_floats(floats)  # the history lacks the rows of samples that wait
         x, u = (self.x, self.u) if nodes is None else (self.x[nodes], self.u[nodes])
         if first == last == self.t:
             return Link(self.t, first, x.tobytes(), u.tobytes())

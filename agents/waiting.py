@@ -132,8 +132,8 @@ class Waiting:
             counts[node] = max(counts[node], count)
         return counts
 
-    def begin(self, rows: Sequence[tuple[list[float], list[float], bytes]], unlearned: Sequence[int] | None) -> bool:
-        """Begin with these last rows: states, inputs, and the Flag bits of the inputs used.
+    def enter(self, rows: Sequence[tuple[list[float], list[float], bytes]], unlearned: Sequence[int] | None) -> bool:
+        """Take these last rows: states, inputs, and the Flag bits of the inputs used.
 
         `unlearned` are the numbers of steps since the last learned sample, by node; None if no sample waits. Return
         False if the rows that are missing are not the newest ones, or if a node has learned a later sample.
@@ -159,7 +159,7 @@ class Waiting:
         self.missing, self.counts, self.most = missing, counts, most
         return True
 
-    def hand_over(self) -> tuple[list[tuple[Row, bytes]], list[int]]:
+    def leave(self) -> tuple[list[tuple[Row, bytes]], list[int]]:
         """Return the rows with samples that wait, each with the Flag bits of the inputs that it has, and `counts`.
 
         No sample waits after that.

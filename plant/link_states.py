@@ -47,8 +47,9 @@ class LinkStates:
         opened: Flags = np.full(received.some.shape, Flag.OPEN, dtype=np.uint8)
         if edge_open is not None:
             opened[0] = edge_open.take(graph.edge)
-        arriving, leaving = received.some.view(np.uint8), sent.some.take(reverse, axis=1).view(np.uint8)
-        self.flags: Flags = opened | (arriving << 1) | (leaving << 2)
+        arriving: Flags = np.left_shift(received.some, 1, dtype=np.uint8)
+        leaving: Flags = np.left_shift(sent.some.take(reverse, axis=1), 2, dtype=np.uint8)
+        self.flags: Flags = opened | arriving | leaving
         """Flag bits by incidence, (S, 2E)"""
         self._bits = self.flags.take(places.order, axis=1)
         self._spans: NDArray[np.uint32] = _NO_SPANS

@@ -71,7 +71,7 @@ class _Step:
     """Flag bits by incidence, (2E,); None if all are set and there is no other message"""
     absent: Mask | None = None
     """None for no node"""
-    back: Mask | None = None
+    returning: Mask | None = None
     """nodes that were absent at the step before; None for no node"""
     deliveries: Deliveries | None = None
     """None if every link delivers the row of t alone"""
@@ -193,8 +193,8 @@ class World:
         deliveries = links.plan(down, active.late)
         read = self.x if active.blind is None else np.where(active.blind, np.nan, self.x)
         sent = read if gone is None else np.where(gone, np.nan, read)
-        back = before if before is None or gone is None else before & ~gone
-        self._now = _Step(sent, read, None, gone, back, deliveries, active.cut, active.mute)
+        returning = before if before is None or gone is None else before & ~gone
+        self._now = _Step(sent, read, None, gone, returning, deliveries, active.cut, active.mute)
         self._note_links(deliveries)
 
     def _note_links(self, deliveries: Deliveries | None) -> None:
@@ -275,13 +275,13 @@ class World:
         return [slice(stop - len(part.nodes), stop) for stop, part in zip(stops, self._parts, strict=True)]
 
     def _record_of(self, part: _Part) -> Record | None:
-        if self._now.back is None or not (back := self._now.back[part.nodes]).any():
+        if self._now.returning is None or not (returning := self._now.returning[part.nodes]).any():
             return None
-        nodes, record = part.nodes[back], self._record
+        nodes, record = part.nodes[returning], self._record
         edges = self.graph.edge[part.incidences[np.isin(self.graph.node[part.incidences], nodes)]]
         first = record.first if record.next else self.t
         x, u = record.x(first, self.t)[:, nodes], record.u(first, self.t)[:, nodes]
-        return Record(self.t, back, first, x.copy(), u.copy(), record.bits(first, self.t)[:, edges].copy())
+        return Record(self.t, returning, first, x.copy(), u.copy(), record.bits(first, self.t)[:, edges].copy())
 
     def look_ahead(self) -> None:
         """Compute w(t), and the links of t + 1 if they are known, while the plant waits for the inputs of t."""
@@ -384,9 +384,9 @@ class World:
             report = np.where(gone, np.nan, report)
             taken = bits = np.where(gone[node], np.uint8(0), bits)
             up = None if up is None else up & ~gone[node]
-        if now.back is not None and now.back.any():
+        if now.returning is not None and now.returning.any():
             # Messages from before their return are back-filled, not received in time.
-            taken = np.where(now.back[node], bits & np.uint8(~Flag.RECEIVE & 0xFF), bits)
+            taken = np.where(now.returning[node], bits & np.uint8(~Flag.RECEIVE & 0xFF), bits)
         return report, taken, None if up is None else up.view(np.uint8)
 
     @cached_property

@@ -39,7 +39,7 @@ def hops(heading: str) -> dict[str, str]:
 
 
 QUIET, GENERAL = hops("When nothing fails"), hops("The general path")
-GAPS = "QuietLaw.step_with_gaps"
+GAPS = "FloatLaw.step_with_gaps"
 
 
 def calls(folder: Path, *arguments: str) -> list[list[str]]:

@@ -20,8 +20,9 @@ from pydantic_core import ErrorDetails
 from hedgerow.topologies import budget, table
 from hedgerow.topologies.base import node_id
 from hedgerow.topologies.errors import Code, FileRefusedError, Problem, Problems, TopologyError, UserError
-from hedgerow.topologies.escape import command, shorten
+from hedgerow.topologies.escape import shorten
 from hedgerow.topologies.law_choice import LawChoice
+from hedgerow.topologies.mistaken import cure_of_law, mistaken
 from hedgerow.topologies.mistakes import UNSPACED, as_written, in_words, sampled
 from hedgerow.topologies.nodes import Edges, Nodes
 from hedgerow.topologies.odd import no_id, odd_numbers
@@ -32,9 +33,6 @@ from hedgerow.topologies.regular_file import check_regular, read_regular
 from hedgerow.topologies.rules import broken_rules
 from hedgerow.topologies.schema import Topology
 from hedgerow.topologies.source import BYTES_PER_FAULT, MAX_BYTES, Mark, Path, Source, read_source
-
-TABLES = frozenset({".csv", ".tsv", ".txt", ".edges", ".edgelist", ".edge", ".dat", ".adj"})
-"""endings of tables of edges, which `orchestrator import` reads"""
 
 
 def bundled() -> list[str]:
@@ -68,6 +66,8 @@ def find(name: str) -> FilePath:
         ) from None
     if name in bundled():
         return _bundled_file(name)
+    if cure := cure_of_law(name):
+        raise UserError(f"{name}: is a law by its name, and a topology is expected; {cure}", code=Code.FILE_MISSING)
     near = _beside(path) or difflib.get_close_matches(name, bundled(), 1)
     hint = f"did you mean {near[0]}? " if near else ""
     raise UserError(f"{name}: no such file; {hint}bundled names are {', '.join(bundled())}", code=Code.FILE_MISSING)
@@ -133,10 +133,12 @@ def parse(
     try:
         source = read_source(name, text)
     except TopologyError:
-        if (cure := _cure_of_table(name)) is None:
+        if (meant := mistaken(name, text)) is None:
             raise
-        raise TopologyError(name, [Problem(0, "", "is a table by its name", cure, Code.FILE_FORMAT)]) from None
+        raise TopologyError(name, [Problem(0, "", *meant, Code.FILE_FORMAT)]) from None
     source.named.update(named)
+    if not _has_keys(source.value) and (meant := mistaken(name, text)) is not None:
+        raise TopologyError(name, [Problem(0, "", *meant, Code.FILE_FORMAT)])
     found = _read(source, name, folder, overrides, columns)
     if isinstance(found, Topology):
         return found
@@ -147,11 +149,9 @@ def parse(
     raise TopologyError(name, found)
 
 
-def _cure_of_table(name: str) -> str | None:
-    """Return what to do with a file that has the ending of a table; None for another file."""
-    if FilePath(name).suffix.lower() not in TABLES:
-        return None
-    return f"`{command(['orchestrator', 'import', name])}` makes a topology of a table of edges"
+def _has_keys(value: Any) -> bool:
+    """Return True for a mapping with a key of topologies, and for an empty file."""
+    return value is None or (isinstance(value, dict) and not Topology.model_fields.keys().isdisjoint(value))
 
 
 def _is_good(name: str, text: bytes, folder: FilePath, columns: table.Table | None) -> bool:
@@ -173,7 +173,6 @@ def _read(
         found = f"a topology is a mapping, this is {as_written(source.value)}"
         text = source.value if isinstance(source.value, str) else ""
         cure = "write a space after each colon" if UNSPACED.match(text) else "start with `name: …`"
-        cure = _cure_of_table(name) or cure
         raise TopologyError(name, [Problem(1, "", found, cure, Code.FILE_FORMAT)])
     _nodes_as_mapping(source)
     for override in overrides:

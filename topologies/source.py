@@ -18,6 +18,7 @@ import yaml
 from hedgerow.topologies import budget
 from hedgerow.topologies.errors import Code, Problem, Problems, TopologyError
 from hedgerow.topologies.foreign import foreign_kind, not_text
+from hedgerow.topologies.pages import page
 
 MAX_BYTES = 32 * 2**20
 MAX_DEPTH = 32
@@ -135,7 +136,7 @@ def read_source(name: str, text: bytes) -> Source:
     except (RecursionError, yaml.YAMLError) as error:
         if isinstance(error, RecursionError) or _DEEPER.search(str(error)):
             _refuse(source, 0, *_TOO_DEEP)
-        _refuse(source, 0, f"not YAML: {error}", "see docs/topology.md for the form of a topology")
+        _refuse(source, 0, f"not YAML: {error}", f"the form of a topology is in {page('topology')}")
     return source
 
 

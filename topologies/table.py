@@ -34,6 +34,7 @@ from hedgerow.topologies.errors import Code, FileRefusedError, UserError
 from hedgerow.topologies.graph import LARGEST, Array, Gain, Graph, Index
 from hedgerow.topologies.hinf import condition_holds
 from hedgerow.topologies.network import PARAMETERS, Group, Network, gains
+from hedgerow.topologies.pages import page
 from hedgerow.topologies.samples import beside
 
 NAME = "network.npz"
@@ -181,7 +182,7 @@ def _memory(heads: Mapping[str, archive.Head]) -> int:
     """Return the memory of a table [bytes]; raise FileRefusedError for an array that no table has."""
     for name in heads:
         if name not in _COLUMNS and _column(name) is None:
-            raise FileRefusedError(f"has a column `{name}`", "docs/topology.md lists the columns")
+            raise FileRefusedError(f"has a column `{name}`", f"the columns are listed in {page('topology')}")
     n = next((heads[name].shape[0] for name in _PER_NODE if name in heads and heads[name].shape), 0)
     for name in (*_PER_NODE, "layout", "parts"):
         if n and name in heads and heads[name].shape[:1] != (n,):

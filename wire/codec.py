@@ -206,18 +206,18 @@ def decode_spans(message: bytes, start: int, m: int) -> list[Span] | None:
 
 def encode_record(record: Record) -> bytes:
     """Return the bytes of a Record message."""
-    arrays = (_STEP.pack(record.first), record.back.astype(_U1), record.x, record.u, record.edge_open)
-    return _pack(Kind.RECORD, len(record.back), record.t, *arrays)
+    arrays = (_STEP.pack(record.first), record.returning.astype(_U1), record.x, record.u, record.edge_open)
+    return _pack(Kind.RECORD, len(record.returning), record.t, *arrays)
 
 
 def decode_record(message: bytes, degrees: Sequence[int] | NDArray[np.int64]) -> Record:
     """Return the Record for a shard, given the degrees of its nodes."""
     k = len(degrees)
     fixed = 8 + k
-    back = np.frombuffer(message[_SIZE + 8 : _SIZE + fixed], _U1).astype(bool)
-    if len(back) != k:
+    returning = np.frombuffer(message[_SIZE + 8 : _SIZE + fixed], _U1).astype(bool)
+    if len(returning) != k:
         raise MessageError(_complaint(message, Kind.RECORD, k, fixed))
-    r, m = int(back.sum()), int(np.dot(back, degrees))
+    r, m = int(returning.sum()), int(np.dot(returning, degrees))
     row = 16 * r + m
     steps = (len(message) - _SIZE - fixed) // row if row else 0
     t = _open(message, Kind.RECORD, k, fixed + steps * row)
@@ -227,7 +227,7 @@ def decode_record(message: bytes, degrees: Sequence[int] | NDArray[np.int64]) ->
     at = _SIZE + fixed
     x, u = np.frombuffer(message, _F8, 2 * steps * r, at).reshape(2, steps, r)
     edge_open = np.frombuffer(message, _U1, steps * m, at + 16 * steps * r).reshape(steps, m)
-    return Record(t, back, first, x, u, edge_open)
+    return Record(t, returning, first, x, u, edge_open)
 
 
 def encode_input(t: int, u: Buffer, report: Buffer, used: Buffer) -> bytes:

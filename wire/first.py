@@ -12,13 +12,17 @@ LINE = "stopped: {}\n"
 
 
 def show(name: str) -> None:
-    """Write the line about a signal to standard error.
+    """Write the line about a signal to standard error, unless that is a full pipe, where a write would wait forever.
 
     A signal handler may call this: `print` fails if the signal arrived while it ran.
     """
     try:
-        os.write(sys.stderr.fileno(), LINE.format(name).encode())
-    except (AttributeError, OSError, ValueError):
+        import select  # noqa: PLC0415 (only now: see above)
+
+        number = sys.stderr.fileno()
+        if select.select([], [number], [], 0)[1]:
+            os.write(number, LINE.format(name).encode())
+    except (AttributeError, ImportError, OSError, ValueError):
         return  # standard error is closed
 
 

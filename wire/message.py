@@ -98,7 +98,7 @@ class Record(NamedTuple):
     """
 
     t: int
-    back: Mask
+    returning: Mask
     """True for the nodes of the shard that rejoin, (k,)"""
     first: int
     x: Array

@@ -23,9 +23,14 @@ def runtime_environment() -> dict[str, str]:
     """Return the environment variables that a process sets before it loads Zenoh and numpy.
 
     Many processes share few cores (docs/performance-notes.md). So Zenoh has one thread for each duty of its runtime.
+    `tx`, which sends, also accepts connections (`acc`): the thread that accepts a connection notices every packet on
+    it, and `tx` is often awake. `rx` must not do this. It waits while it passes on a long message, and meanwhile
+    another thread has to notice that the socket takes it.
+
     Linear algebra has no threads: agents and plant do not use it, and a process that forks must have none.
     """
-    return {"OPENBLAS_NUM_THREADS": "1", _RUNTIME: _threads(dict.fromkeys(_DUTIES, "worker_threads: 1"))}
+    duties = dict.fromkeys(_DUTIES, "worker_threads: 1") | {"acc": "handover: tx"}
+    return {"OPENBLAS_NUM_THREADS": "1", _RUNTIME: _threads(duties)}
 
 
 def one_network_thread() -> None:

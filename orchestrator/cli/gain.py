@@ -18,7 +18,12 @@ from hedgerow.topologies.paths import user_path
 
 Full = Annotated[bool, typer.Option("--full", help="a full storage matrix P, for networks of up to 30 nodes")]
 Split = Annotated[bool, typer.Option("--split", help="one small matrix per node at any size, which may take minutes")]
-Budget = Annotated[str, typer.Option(metavar="TIME", help="how long to search, as 90, 60s or 5m")]
+Budget = Annotated[
+    str,
+    typer.Option(
+        metavar="TIME", help="how long to search, as 90, 60s or 5m; the runs that repeat the gain come after it"
+    ),
+]
 Faults = Annotated[bool, typer.Option("--faults", help="search cuts and drops too")]
 SearchSeed = Annotated[int, whole("seed of the search", "--seed", low=0)]
 Length = Annotated[
@@ -82,7 +87,7 @@ def worst(
             progress.update()
             if interrupts.count and not is_stopped:
                 is_stopped = True
-                progress.say(f"stopped: {interrupts.name}; proving the attack found so far")
+                progress.say(f"stopped: {interrupts.name}; repeating the best attack found so far")
             return is_stopped
 
         found = search(topology, seconds, faults, seed, steps, out, progress.say, quit_now)

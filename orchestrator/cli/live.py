@@ -17,7 +17,7 @@ import typer
 
 from hedgerow.orchestrator.cli.names import WATCH, Commands
 from hedgerow.orchestrator.cli.numbers import real, real_argument, whole, whole_argument
-from hedgerow.orchestrator.cli.options import AsJson, Running
+from hedgerow.orchestrator.cli.options import AsJson, Running, RunOption, chosen
 from hedgerow.orchestrator.launch.fault_verbs import VERBS, FaultVerbs
 from hedgerow.topologies.errors import DeadlineError, check_options
 from hedgerow.topologies.escape import echo
@@ -33,10 +33,6 @@ faults = typer.Typer(
     rich_markup_mode=None,
 )
 
-Run = Annotated[
-    str | None,
-    typer.Option("--run", metavar="RUN", help="a running network's name [the only one, or that of this folder]"),
-]
 _Link = Annotated[str, typer.Argument(metavar="I-J", help="two neighbours; I,J where a '-' is part of a name")]
 _Chance = Annotated[float, real("its probability at each step, for each message", metavar="P")]
 _For = Annotated[int | None, whole("number of steps [until healed]", "--for", low=1)]
@@ -58,7 +54,7 @@ _ARGUMENTS: dict[str, tuple[Any, Any]] = {
     "steps": (_For, None),
     "restart_after": (_Back, None),
     "after": (Annotated[int, whole("number of steps to wait first", "--after", low=0)], 0),
-    "run": (Run, None),
+    "run": (RunOption, None),
     "as_json": (AsJson, False),
 }
 """The command-line form of each argument of the methods of FaultVerbs, and its default."""
@@ -78,21 +74,22 @@ def ps(as_json: AsJson = False) -> int:
 
     entries = registry.running()
     if as_json:
-        echo(json.dumps([vars(entry) for entry in entries]))
+        echo(json.dumps([{**vars(entry), "over": entry.is_over} for entry in entries]))
         return 0
     for entry in entries:
         since = datetime.fromtimestamp(entry.started).strftime("%H:%M:%S")
-        echo(f"{entry.run}  pid {entry.pid}  since {since}  {entry.folder}")
+        over = "  over, its page stays" if entry.is_over else ""
+        echo(f"{entry.run}  pid {entry.pid}  since {since}  {entry.folder}{over}")
     if not entries:
         echo("no network is running")
     return 0
 
 
-def status(run: Running = None, as_json: AsJson = False) -> int:
+def status(run: Running = None, named: RunOption = None, as_json: AsJson = False) -> int:
     """Print the step of a running network, and the agents that it waits for."""
     from hedgerow.orchestrator.launch.live import Live, where  # noqa: PLC0415
 
-    with Live(run) as live:
+    with Live(chosen(run, named)) as live:
         answer = live.status()
     echo(json.dumps({**vars(live.entry), **answer}) if as_json else f"{live.run}: {where(answer)}")
     return 0
@@ -100,6 +97,7 @@ def status(run: Running = None, as_json: AsJson = False) -> int:
 
 def stop(
     run: Running = None,
+    named: RunOption = None,
     deadline: Annotated[float, real("seconds to wait for the end", metavar="S")] = 20.0,
 ) -> int:
     """End a running network as Ctrl-C does, and wait for its end."""
@@ -108,8 +106,10 @@ def stop(
     from hedgerow.wire.session import WireError  # noqa: PLC0415
 
     check_options(deadline=deadline)
-    entry = registry.find(run)
+    entry = registry.find(chosen(run, named))
     try:
+        if entry.is_over:
+            raise WireError("its plant has ended")
         with Live(entry) as live:
             live.ask_to_stop()
     except WireError:  # the plant is gone or frozen: ask its parent process
@@ -190,7 +190,7 @@ for _verb in VERBS:
 
 
 @faults.command(name="list")
-def list_(run: Run = None, as_json: AsJson = False) -> int:
+def list_(run: RunOption = None, as_json: AsJson = False) -> int:
     """List the faults of the file and the added ones."""
     from hedgerow.topologies.describe import describe  # noqa: PLC0415
 
@@ -209,7 +209,7 @@ def list_(run: Run = None, as_json: AsJson = False) -> int:
 
 
 @faults.command()
-def heal(number: Number = None, run: Run = None, as_json: AsJson = False) -> int:
+def heal(number: Number = None, run: RunOption = None, as_json: AsJson = False) -> int:
     """End a fault of a running network, or all of them."""
 
     def ask(live: Live) -> tuple[str, dict[str, Any]]:
@@ -219,19 +219,19 @@ def heal(number: Number = None, run: Run = None, as_json: AsJson = False) -> int
     return _with(run, as_json, ask)
 
 
-def pause(run: Run = None, as_json: AsJson = False) -> int:
+def pause(run: Running = None, named: RunOption = None, as_json: AsJson = False) -> int:
     """Pause a running network before its next step."""
-    return _clock(run, as_json, lambda live: live.pause(), "paused before step {}")
+    return _clock(chosen(run, named), as_json, lambda live: live.pause(), "paused before step {}")
 
 
-def resume(run: Run = None, as_json: AsJson = False) -> int:
+def resume(run: Running = None, named: RunOption = None, as_json: AsJson = False) -> int:
     """Resume a paused network."""
-    return _clock(run, as_json, lambda live: live.resume(), "continues from step {}")
+    return _clock(chosen(run, named), as_json, lambda live: live.resume(), "continues from step {}")
 
 
 def step(
     steps: Annotated[int, whole_argument("number of steps", metavar="N", low=1)] = 1,
-    run: Run = None,
+    run: RunOption = None,
     as_json: AsJson = False,
 ) -> int:
     """Make a number of steps, then pause."""
@@ -242,7 +242,7 @@ def step(
 
 def rate(
     per_second: Annotated[float, real_argument("steps per second, 0 for as fast as possible", metavar="R", low=0)],
-    run: Run = None,
+    run: RunOption = None,
     as_json: AsJson = False,
 ) -> int:
     """Set the rate of a running network."""

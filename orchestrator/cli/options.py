@@ -9,6 +9,7 @@ import typer
 
 from hedgerow.orchestrator.cli import complete
 from hedgerow.orchestrator.cli.numbers import whole
+from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.escape import answers_alone
 from hedgerow.topologies.paths import user_path
 
@@ -23,6 +24,15 @@ Running = Annotated[
     typer.Argument(
         metavar="RUN",
         help="name of a running network [the only one, or that of this folder]",
+        autocompletion=complete.running,
+    ),
+]
+RunOption = Annotated[
+    str | None,
+    typer.Option(
+        "--run",
+        metavar="RUN",
+        help="a running network's name [the only one, or that of this folder]",
         autocompletion=complete.running,
     ),
 ]
@@ -48,3 +58,10 @@ def _alone(context: typer.Context, as_json: bool) -> bool:
 
 AsJson = Annotated[bool, typer.Option("--json", help="one JSON object on standard output", callback=_alone)]
 Processes = Annotated[int | None, whole("agent processes [one a node]", metavar="P")]
+
+
+def chosen(run: str | None, option: str | None) -> str | None:
+    """Return the name of a running network, given as an argument or with --run; raise UserError for two names."""
+    if run is not None and option is not None and run != option:
+        raise UserError(f"--run {option}: contradicts {run}. Name one network.", code=Code.OPTION)
+    return option if run is None else run

@@ -31,7 +31,7 @@ def runs(
     """List the run folders of a directory with their verdicts, newest first; with --keep, remove the older ones."""
     from hedgerow.orchestrator.runs import listing, registry  # noqa: PLC0415
 
-    found = listing.listed(directory, {entry.folder for entry in registry.running()})
+    found = listing.listed(directory, {entry.folder for entry in registry.running() if not entry.is_over})
     removed = [] if keep is None else listing.removable(found, keep)
     stays = [] if dry_run else listing.remove(removed, directory)
     for line in stays:

@@ -8,7 +8,7 @@ import typer
 
 from hedgerow.orchestrator.cli import complete
 from hedgerow.orchestrator.cli.names import INSPECT, WATCH
-from hedgerow.orchestrator.cli.options import Running
+from hedgerow.orchestrator.cli.options import Running, RunOption, chosen
 from hedgerow.topologies.errors import UserError
 from hedgerow.topologies.escape import command, echo
 
@@ -29,16 +29,18 @@ def register(app: typer.Typer) -> None:
     app.command(name="open", rich_help_panel=INSPECT)(open_)
 
 
-def watch(run: Running = None, viewer: Viewer = "auto") -> int:
+def watch(run: Running = None, named: RunOption = None, viewer: Viewer = "auto") -> int:
     """Show a running network from its first step and follow it; this costs the run nothing."""
     from hedgerow.orchestrator.runs import registry  # noqa: PLC0415
     from hedgerow.orchestrator.views.rerun.viewer import choose_one  # noqa: PLC0415
 
     try:
-        entry = registry.find(run)
+        entry = registry.find(chosen(run, named))
     except UserError as error:
         hint = "`orchestrator open` shows runs that are over, and those of `simulate`"
         raise UserError(f"{error}\n{hint}", code=error.code) from None
+    if entry.is_over:
+        raise entry.over()
     choice = choose_one(viewer, f"`{command(['orchestrator', 'status', entry.run])}` shows its step")
     from hedgerow.orchestrator.views.rerun.watch import watch as follow  # noqa: PLC0415
 

@@ -158,6 +158,8 @@ class Live:
         self._added: dict[int, Fault] = {}
 
     def __enter__(self) -> Live:
+        if self.entry.is_over:
+            raise self.entry.over()
         credentials = self.entry.credentials and Path(self.entry.credentials)
         self._session = open_client(self.entry.endpoint, self.entry.namespace, credentials or None)
         return self

@@ -288,7 +288,7 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
         "seed": topology.seed,
         "engine": ending.engine,
         "processes": ending.processes,
-        "cut_edges": cut(observer.graph, parts_of(observer.graph, ending.processes or 1, topology.layout)),
+        "process_edges": cut(observer.graph, parts_of(observer.graph, ending.processes or 1, topology.layout)),
         "nodes": observer.graph.n,
         "edges": len(observer.graph.edges),
         "steps": topology.steps,

@@ -12,6 +12,7 @@ from hedgerow.orchestrator.report.curves import BINS, STEPS, as_quantiles
 from hedgerow.orchestrator.report.estimates import draw_estimates, has_estimates
 from hedgerow.orchestrator.report.timeline import draw_faults, has_faults
 from hedgerow.orchestrator.runs.run import Run
+from hedgerow.topologies.pages import page
 
 Runs = Sequence[Run]
 
@@ -132,7 +133,7 @@ FIGURES = (
         shows="√(Σ cost / Σ |w|²) so far, without and with V(x(0)) subtracted, the maximum cost of x(0) for the oracle."
         " γ* is the oracle's number, the smallest gain that can be guaranteed if every a is known and no edge is"
         " closed; it is no guarantee for the adaptive law. The gain of that law from x(0) = 0 is at most the line"
-        " above, while the line's premise holds (docs/guarantee.md).",
+        f" above, while the line's premise holds ({page('guarantee')}).",
         draw=totals.gain,
         more=totals.beyond,
     ),
@@ -142,7 +143,7 @@ FIGURES = (
         title="Slack of the certificate",
         shows="g Σ |w|² + Σ p x(0)² − Σ p x(t+1)² − Σ cost: the part of the certificate that is left at each step,"
         " with the g and p of the bound that is claimed then. It is never negative in a valid run"
-        " (docs/guarantee.md).",
+        f" ({page('guarantee')}).",
         draw=totals.slack,
         has=totals.has_slack,
     ),

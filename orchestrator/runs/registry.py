@@ -22,6 +22,7 @@ from pathlib import Path
 
 from hedgerow.topologies import json_file
 from hedgerow.topologies.errors import Code, UserError
+from hedgerow.topologies.escape import command
 from hedgerow.topologies.regular_file import open_regular
 from hedgerow.wire.access import OPERATOR
 from hedgerow.wire.session import remove_trace
@@ -43,6 +44,19 @@ class Entry:
     """files and folders that must not outlive the run"""
     directory: str = ""
     """the working directory of the run's command"""
+
+    @property
+    def is_over(self) -> bool:
+        """Return True if the run has its verdict: its processes have ended, and its command keeps a page open."""
+        return os.path.isfile(os.path.join(self.folder, "verdict.json"))
+
+    def over(self) -> UserError:
+        """Return the error of a request to a run that is over."""
+        again, end = command(["orchestrator", "open", self.folder]), command(["orchestrator", "stop", self.run])
+        return UserError(
+            f"{self.run}: is over, and only its page stays; `{end}` ends the page, `{again}` shows the run",
+            code=Code.NETWORK_MISSING,
+        )
 
 
 def _directory() -> Path:
@@ -177,7 +191,7 @@ def find(run: str | None) -> Entry:
     with NETWORK_MISSING if there is none, and with NETWORK_AMBIGUOUS and the list if several remain.
     """
     entries = running()
-    named = entries if run is None else _named(run, entries)
+    named = [entry for entry in entries if not entry.is_over] or entries if run is None else _named(run, entries)
     if not named:
         if not entries or run is None:
             raise UserError("no network is running; start one with `orchestrator up FILE`", code=Code.NETWORK_MISSING)

@@ -47,8 +47,19 @@ def _leads_to_terminal() -> bool:
 
 
 def left_behind(folder: Path) -> str:
-    """Return lines with the run folder and the command that shows it, as a page if there is no display."""
+    """Return lines with the run folder and the command that shows it, as a page if there is no display.
+
+    A run without a recording is shown from its tables: a reader of `--no-record` would expect nothing to see.
+    """
     # The folder of the interpreter contains the command and may be missing in PATH.
     program = "orchestrator" if shutil.which("orchestrator") else Path(sys.executable).with_name("orchestrator")
     page = [] if has_display() else ["--viewer", "web"]
-    return f"run folder {folder}\nsee it again with: {command([program, 'open', folder, *page])}"
+    opened = command([program, "open", folder, *page])
+    if is_recorded(folder):
+        return f"run folder {folder}\nsee it again with: {opened}"
+    return f"run folder {folder}, without run.rrd\ndraw its tables with: {opened}"
+
+
+def is_recorded(folder: Path) -> bool:
+    """Return True if a folder has a recording, or a part of one."""
+    return any(folder.glob("run*.rrd"))

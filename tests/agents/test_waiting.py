@@ -22,7 +22,7 @@ from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire.codec import decode_state, encode_state
 from hedgerow.wire.message import ALL_UP, Span
-from tests.agents.test_quiet import check_same_bits, general_path
+from tests.agents.test_float_law import check_same_bits, general_path
 from tests.tools.networks import networks, partitions, simulate
 from tests.tools.schedules import with_faults
 

@@ -91,7 +91,7 @@ class ZeroForMissing(Shard):
 
     def __init__(self, view: View) -> None:
         super().__init__(view)
-        self._quiet = None  # floats would make the steps with gaps
+        self._floats = None  # floats would make the steps with gaps
         samples = self._samples
 
         def flow(u: Array, bits: Flags) -> Array:
@@ -107,7 +107,7 @@ class HeldForMissing(Shard):
 
     def __init__(self, view: View) -> None:
         super().__init__(view)
-        self._quiet = None
+        self._floats = None
         samples, last = self._samples, np.zeros(1 + sum(peer.receives for peer in self.peers))
 
         def flow(u: Array, bits: Flags) -> Array:
@@ -123,7 +123,7 @@ class NoBackfill(Shard):
 
     def __init__(self, view: View) -> None:
         super().__init__(view)
-        self._quiet = None
+        self._floats = None
 
     def _received(self, c: int, links: Sequence[Link | None], start: int, stop: int) -> LateRows:
         return super()._received(c, links, start, stop)._replace(stop=start, inputs=np.empty(0))
@@ -134,7 +134,7 @@ class BackfillReversed(Shard):
 
     def __init__(self, view: View) -> None:
         super().__init__(view)
-        self._quiet = None
+        self._floats = None
         samples = self._samples
 
         def learn_onward(since: Mapping[int, int], until: int) -> None:

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from hedgerow.topologies.errors import Code, TopologyError
-from hedgerow.topologies.load import TABLES, load
+from hedgerow.topologies.load import load
+from hedgerow.topologies.mistaken import TABLES
 from tests.tools.processes import run_here
 
 

@@ -40,10 +40,20 @@ run_alone(wait_to_be_told)
 """
 
 LOUD = """
-import sys
+import os, sys
 from hedgerow.wire.child import run_alone
 
-run_alone(lambda: [print("loud", file=sys.stderr) for _ in range(10**6)])
+def fill_the_pipe_and_write():
+    os.set_blocking(sys.stderr.fileno(), False)
+    try:
+        while os.write(sys.stderr.fileno(), b"loud"):
+            pass
+    except BlockingIOError:
+        os.set_blocking(sys.stderr.fileno(), True)
+    print("full", flush=True)
+    print("loud", file=sys.stderr)
+
+run_alone(fill_the_pipe_and_write)
 """
 
 
@@ -73,11 +83,12 @@ def test_a_second_signal_ends_a_process_that_hangs_while_it_ends_in_good_order()
 
 
 def test_a_process_that_hangs_in_a_full_pipe_ends_as_well() -> None:
-    """Its output has no reader."""
-    with subprocess.Popen([sys.executable, "-c", LOUD], stderr=subprocess.PIPE) as process:
+    """No process reads its output."""
+    command = [sys.executable, "-c", LOUD]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         try:
-            assert process.stderr is not None
-            process.stderr.read(1)
+            assert process.stdout is not None
+            assert process.stdout.readline() == b"full\n"
             process.terminate()
             assert process.wait(DEADLINE_S) == 143
         finally:

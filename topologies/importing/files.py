@@ -10,7 +10,7 @@ from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.importing.found import Found, refuse
 from hedgerow.topologies.importing.options import Options
 from hedgerow.topologies.json_file import read_json
-from hedgerow.topologies.load import TABLES
+from hedgerow.topologies.mistaken import TABLES
 from hedgerow.topologies.regular_file import open_regular
 
 _BY_ENDING: dict[str, tuple[str, str, str | None]] = {
@@ -37,6 +37,7 @@ _CONVERTED = {
     **dict.fromkeys((".pkl", ".pickle", ".gpickle"), "Write the graph with networkx.write_graphml: a pickle is code"),
     **dict.fromkeys((".parquet", ".feather", ".arrow"), "Write the table as CSV"),
     **dict.fromkeys((".gz", ".zip", ".bz2", ".xz"), "Unpack the file first"),
+    **dict.fromkeys((".py", ".pyi"), "A law needs no import: name its class behind --law"),
     **dict.fromkeys((".yaml", ".yml"), "A topology needs no import: give it to `orchestrator check`"),
 }
 """by the ending of a common kind of file without a reader: the way to one with a reader"""

@@ -9,6 +9,7 @@ from functools import cached_property
 from pathlib import Path
 
 from hedgerow.orchestrator.experiments.compare import tables
+from hedgerow.orchestrator.experiments.compare.duels import Duel, duels
 from hedgerow.orchestrator.experiments.compare.plan import Comparison
 from hedgerow.orchestrator.experiments.compare.runs import METRICS, answer
 from hedgerow.orchestrator.experiments.compare.statistics import (
@@ -28,6 +29,9 @@ from hedgerow.orchestrator.experiments.sweep.workers import over_processes
 from hedgerow.topologies.describe import count
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.escape import echo
+
+DIFFERENCE = ("difference", "wins", "losses")
+"""the last columns of tests.csv: the median of one - other, and the seeds in which `one` or `other` is better"""
 
 
 @dataclass(frozen=True)
@@ -52,6 +56,11 @@ class Compared:
     def tests(self) -> list[Paired]:
         """Return the paired tests."""
         return paired(self.cells)
+
+    @property
+    def duels(self) -> list[Duel]:
+        """Return the results law against law, for up to three laws; a single law is compared with `nominal`."""
+        return duels(self.tests)
 
     @property
     def method(self) -> str:
@@ -80,7 +89,8 @@ class Compared:
         return f"<Compared {self.plan.name}: {laws} under {under}, {len(self.plan.seeds)} seeds; print it>"
 
     def __str__(self) -> str:
-        return "\n\n".join([tables.text(self.cells), tables.conclusions(self.cells, self.tests), self.method])
+        parts = [tables.text(self.cells), tables.conclusions(self.cells, self.tests), self.method]
+        return "\n\n".join([*parts, *filter(None, [tables.against(self.tests)])])
 
     def mean(self, law: str, metric: str, disturbance: str = "") -> float:
         """Return a mean over seeds; `disturbance` may be omitted if there is one.
@@ -170,8 +180,9 @@ def _write(found: Compared) -> None:
             line([cell.disturbance, cell.law, cell.metric, cell.n, cell.mean, low, high])
     with (folder / "tests.csv").open("w", newline="", encoding="utf-8") as file:
         line = csv.writer(file).writerow
-        line(["disturbance", "metric", "one", "other", "pairs", "better", "p", "holm"])
+        line(["disturbance", "metric", "one", "other", "pairs", "better", "p", "holm", *DIFFERENCE])
         for test in found.tests:
-            line([test.disturbance, test.metric, test.one, test.other, test.pairs, test.better, test.p, test.holm])
+            tested = [test.disturbance, test.metric, test.one, test.other, test.pairs, test.better, test.p, test.holm]
+            line([*tested, *(getattr(test, name) for name in DIFFERENCE)])
     (folder / "compare.md").write_text(found.markdown, encoding="utf-8")
     write(folder, found.cells, f"{plan.name}: {plan.runs} runs")

@@ -67,6 +67,12 @@ class Paired:
     p: float
     holm: float
     """p corrected for all tests of the comparison"""
+    difference: float = float("nan")
+    """the median over the pairs of the values of `one` less those of `other`; NaN without a pair"""
+    wins: int = 0
+    """the number of pairs in which `one` has the better value"""
+    losses: int = 0
+    """the number of pairs in which `other` has the better value"""
 
     @property
     def decided(self) -> bool:
@@ -149,7 +155,17 @@ def _tested(one: Cell, other: Cell) -> Paired:
             warnings.simplefilter("ignore")  # a warning about few pairs; p shows the same
             p = float(stats.wilcoxon(apart).pvalue)
     return Paired(
-        one.disturbance, one.metric, one.law, other.law, len(apart), better, p if np.isfinite(p) else 1.0, 1.0
+        one.disturbance,
+        one.metric,
+        one.law,
+        other.law,
+        len(apart),
+        better,
+        p if np.isfinite(p) else 1.0,
+        1.0,
+        float(np.median(apart)) if len(apart) else np.nan,
+        int((sign * apart > 0).sum()),
+        int((sign * apart < 0).sum()),
     )
 
 

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hedgerow.orchestrator.experiments.compare.duels import duels, rows
 from hedgerow.orchestrator.experiments.compare.runs import METRICS
 from hedgerow.orchestrator.experiments.compare.statistics import (
     HIGHER_IS_BETTER,
@@ -66,6 +67,8 @@ def markdown(cells: Sequence[Cell], tests: Sequence[Paired]) -> str:
         table = "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
         listed = "\n".join(f"- {line}" for line in findings(cells, tests, disturbance))
         parts.append(f"## {disturbance}\n\n{table}\n\n{listed}\n")
+    if found := duels(tests):
+        parts.append("## Law against law\n\n" + "\n".join(f"- {duel}" for duel in found) + "\n")
     return "\n".join(parts)
 
 
@@ -74,6 +77,13 @@ def conclusions(cells: Sequence[Cell], tests: Sequence[Paired]) -> str:
     return "\n".join(
         f"{disturbance}: {line}" for disturbance in _disturbances(cells) for line in findings(cells, tests, disturbance)
     )
+
+
+def against(tests: Sequence[Paired]) -> str:
+    """Return the table of every duel and its result, law against law; empty for many laws."""
+    found = duels(tests)
+    parts = [f"{duel.one} against {duel.other}\n{_aligned(rows(duel, TITLES))}" for duel in found if duel.tests]
+    return "\n\n".join([*parts, "\n".join(map(str, found))]) if found else ""
 
 
 def findings(cells: Sequence[Cell], tests: Sequence[Paired], disturbance: str) -> list[str]:

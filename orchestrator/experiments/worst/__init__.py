@@ -10,6 +10,7 @@ import contextlib
 import fcntl
 import json
 import os
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -34,8 +35,8 @@ from hedgerow.topologies.resolve import save
 from hedgerow.topologies.schema import Topology
 
 NAME = "worst.yaml"
-UNPROVED = 1e-4
-"""The part by which a gain that the search saw may exceed the proved one, before the difference is reported."""
+UNREPEATED = 1e-4
+"""The part by which a gain that the search saw may exceed the repeated one, before the difference is reported."""
 
 
 @dataclass(frozen=True)
@@ -51,11 +52,15 @@ class Found:
     law: str
     """the law that was attacked, as a file names it"""
     faults: dict[str, float]
-    """by single fault: the best gain with it; empty unless faults were searched"""
+    """by single fault: the best gain with it in the search; empty unless faults were searched"""
     faults_of: int
     """number of single faults that there are; the search may have tried fewer"""
     seconds: float
     """of search, those before an interruption included"""
+    without_faults: float | None = None
+    """the best gain without faults in the search, to compare `faults` with; None unless faults were searched"""
+    repeat_seconds: float = 0.0
+    """of the runs after the search, which repeat its attacks"""
 
     def __repr__(self) -> str:
         above = "" if self.ceiling is None else f", at most {self.ceiling:.4g}"
@@ -89,6 +94,12 @@ class Found:
         bounds = [one.gain for one in (above, learning) if isinstance(one, Bound | Learning)]
         return min(bounds, default=None) if self.attack.within else None
 
+    @property
+    def harmful(self) -> list[tuple[str, float]]:
+        """Return the single faults with a larger gain than without faults, and the gain, the largest first."""
+        least = (self.without_faults or 0.0) * (1 + UNREPEATED)
+        return sorted((one for one in self.faults.items() if one[1] > least), key=lambda one: -one[1])
+
     def sandwich(self) -> str:
         """Return the bounds on both sides in one line."""
         above = self.ceiling
@@ -111,11 +122,18 @@ class Found:
         if self.topology.faults:
             lines.append(f"the faults of this run: {', '.join(self.attack_faults)}")
         if self.faults:
-            worst = sorted(self.faults.items(), key=lambda one: -one[1])[:5]
+            worst = self.harmful[:5]
+            tried = f"{len(self.faults)} tried and {self.faults_of} in all"
             lines += [
-                f"single faults that hurt most, of {len(self.faults)} tried and {self.faults_of} in all:",
+                f"single faults that raise the gain most, of {tried}:"
+                if worst
+                else f"no single fault raises the gain, of {tried}",
+                *([] if self.without_faults is None else [f"  {self.without_faults:.4f}  without faults"]),
                 *(f"  {gain:.4f}  {what}" for what, gain in worst),
             ]
+        lines.append(
+            f"{self.seconds:.1f} s of search, then {self.repeat_seconds:.1f} s of runs that repeat its attacks"
+        )
         return "\n".join(lines)
 
     def to_dict(self) -> dict[str, Any]:
@@ -132,7 +150,9 @@ class Found:
             "attack_faults": self.attack_faults,
             "faults": self.faults,
             "faults_in_all": self.faults_of,
+            "without_faults": self.without_faults,
             "seconds": self.seconds,
+            "repeat_seconds": self.repeat_seconds,
             "guarantee": self.guarantee.to_dict(),
         }
 
@@ -149,6 +169,7 @@ def worst(
 ) -> Found:
     """Search the worst disturbance of a network for `budget_s` seconds, and write it if `out` names a file.
 
+    The runs that repeat the best attacks come after this time; `Found.repeat_seconds` is what they took.
     `faults` searches cuts and drops too. `steps` is the length of the run of a disturbance that holds its last value.
     A stopped search continues from the files of `out`. Raises UserError for a network that is too large.
     """
@@ -161,9 +182,12 @@ def worst(
             else:
                 say(f"replaces the attack of {out}, which has another --seed, --faults or --steps")
         hunt.run(budget_s, say, quit_now)
-        found = _written(hunt, topology, out, state_file)
-        if (seen := hunt.best_score() ** 0.5) > found.limit * (1 + UNPROVED):
-            say(f"gain {seen:.4f} was seen, and no run proved it; {found.limit:.4f} is proved")
+        found = _written(hunt, topology, out, state_file, say, quit_now)
+        if (seen := hunt.best_score() ** 0.5) > found.limit * (1 + UNREPEATED):
+            say(
+                f"{found.limit:.4f} counts: the {seen:.4f} of the search has no longer run that repeats it;"
+                " more --steps or another --seed may help"
+            )
         return found
 
 
@@ -216,9 +240,18 @@ def _held(state_file: Path) -> Iterator[bool]:
                 state_file.unlink()
 
 
-def _written(hunt: Hunt, topology: Topology, out: Path | None, state_file: Path | None) -> Found:
+def _written(
+    hunt: Hunt,
+    topology: Topology,
+    out: Path | None,
+    state_file: Path | None,
+    say: Callable[[str], None],
+    quit_now: Callable[[], bool],
+) -> Found:
     """Return the result of a search, and write it if `out` names a file."""
-    attack, network = hunt.proved()
+    began = time.monotonic()
+    attack, network = hunt.repeated(say, quit_now)
+    took = time.monotonic() - began
     found = Found(
         network,
         attack,
@@ -227,6 +260,8 @@ def _written(hunt: Hunt, topology: Topology, out: Path | None, state_file: Path 
         {hunt.named(breaks): gain for breaks, gain in hunt.fault_gains.items()},
         hunt.faults_of,
         hunt.state.seconds,
+        hunt.unbroken if hunt.faults else None,
+        took,
     )
     if out is not None and state_file is not None:
         try:

@@ -132,13 +132,19 @@ class Hunt:
             self._evolve(island, NONE, until, quit_now)
             if self.best_score() > best * (1 + 1e-4):
                 best, found, silent = self.best_score(), time.monotonic(), SILENT_S
-                say(f"gain {best**0.5:.4f}")
+                say(f"gain {best**0.5:.4f} in the search")
             elif (waited := time.monotonic() - found) >= silent:
                 silent *= 2
-                say(f"gain {best**0.5:.4f}, and none larger for {waited:.0f} s")
+                say(f"gain {best**0.5:.4f} in the search, and none larger for {waited:.0f} s")
         if self.faults:
             self._break(max(began + budget_s, time.monotonic()), say, quit_now)
         self.state.seconds += time.monotonic() - began
+
+    @property
+    def unbroken(self) -> float | None:
+        """Return the largest gain that the search saw without faults; None before the first."""
+        scores = [found[1] for (_, breaks), found in self.state.champions.items() if breaks == NONE]
+        return max(scores) ** 0.5 if scores else None
 
     def best_score(self) -> float:
         """Return the largest gain squared so far."""
@@ -182,7 +188,7 @@ class Hunt:
     def _break(self, until: float, say: Say, quit_now: Quit) -> None:
         """Try every cut and drop alone, then add faults to the best, one at a time."""
         graph, breaking = self.scene.graph, NONE
-        best = max((found[1] for key, found in self.state.champions.items() if key[1] == NONE), default=0.0)
+        best = (self.unbroken or 0.0) ** 2
         singles = [Breaks(cuts=((e, first),)) for e in range(len(graph.edges)) for first in (0,)]
         singles += [Breaks(drops=((k, first),)) for k in range(len(graph.node)) for first in (0, 2, 4)]
         self.faults_of = len(singles)
@@ -202,7 +208,7 @@ class Hunt:
             if found[1] == breaking or time.monotonic() >= until or quit_now():
                 return
             best, breaking = found
-            say(f"gain {best**0.5:.4f} with {self.named(breaking)}")
+            say(f"gain {best**0.5:.4f} in the search with {self.named(breaking)}")
 
     def _under(self, breaks: Breaks, until: float) -> float:
         """Return the best gain squared under some faults, from the best disturbances without them."""
@@ -261,12 +267,23 @@ class Hunt:
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.where(settled, np.sqrt(played.cost[-1] / energy), 0.0)
 
-    def proved(self) -> tuple[Attack, Topology]:
-        """Return the best attack with a run that repeats its gain, and the topology of that run."""
+    def repeated(self, say: Say = lambda _: None, quit_now: Quit = lambda: False) -> tuple[Attack, Topology]:
+        """Return the best attack with a run that repeats its gain, and the topology of that run.
+
+        The runs take as long as they need, after the time of the search. `say` gets a line before the first run, for
+        every gain that a run repeats, and for long pauses. `quit_now` ends them after the first repeated gain.
+        """
         best: tuple[Attack, Topology] | None = None
+        say(
+            f"the search ends; runs of up to {self.steps} steps repeat its best attacks, and a gain that repeats counts"
+        )
+        said, silent = time.monotonic(), SILENT_S
         for sought, attack in self.attacks():
-            if best is not None and sought <= best[0].limit * (1 + SETTLED):
+            if best is not None and (sought <= best[0].limit * (1 + SETTLED) or quit_now()):
                 break
+            if (waited := time.monotonic() - said) >= silent:
+                silent *= 2
+                say(f"no run has repeated a {'larger ' * (best is not None)}gain for {waited:.0f} s")
             if best is not None and attack.limit <= best[0].limit:
                 continue
             is_steady, within = self.steady(attack)
@@ -277,6 +294,8 @@ class Hunt:
             gain = content["metrics"].get("gain")
             if content["verdict"] == "valid" and gain is not None and abs(gain - attack.gain) <= SAME * attack.gain:
                 best = replace(attack, gain=gain, within=within), topology
+                said, silent = time.monotonic(), SILENT_S
+                say(f"gain {attack.limit:.4f} repeated by a run")
         if best is None:
             raise HedgerowError(f"{self.topology.name}: no disturbance was found. Give a larger --budget.")
         return best

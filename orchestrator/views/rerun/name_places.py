@@ -33,8 +33,8 @@ def name_places(places: Places, edges: Ends, radius: float, names: Sequence[str]
     half = np.array([[LETTER_PX * len(name) + EDGES_PX, BOX_PX] for name in names]).reshape(n, 2) * px / 2
     angle = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
     way = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    # Prefer the right, and then the sides nearest to it: most names then stand in line.
-    habit = 1e-3 * (1 - way[:, 0])
+    # Prefer the right, and then the sides nearest to it: most names are then on one side.
+    preference = 1e-3 * (1 - way[:, 0])
     part = np.linspace(0, 1, SAMPLES)[:, None]
     start, stop = places[edges[:, 0]], places[edges[:, 1]]
     points = (start[:, None] + part * (stop - start)[:, None]).reshape(-1, 2)
@@ -45,7 +45,7 @@ def name_places(places: Places, edges: Ends, radius: float, names: Sequence[str]
         ring = 1.45 * radius + GAP_PX * px
         centre = places[k] + way * (ring + _extent(way, half[k]))[:, None]
         others = np.delete(places, k, axis=0)
-        cost = habit + 2 * _within(points, centre, half[k] + EDGE_PX * px).sum(axis=1) / SAMPLES
+        cost = preference + 2 * _within(points, centre, half[k] + EDGE_PX * px).sum(axis=1) / SAMPLES
         cost = cost + 3 * _within(others, centre, half[k] + ring).sum(axis=1)
         cost = cost + 3 * _overlaps(centres[:k], half[:k], centre, half[k])
         cost = cost + np.maximum(0, np.abs(centre - (low + high) / 2) - (high - low) / 2 - 2.5 * radius).sum(axis=1)

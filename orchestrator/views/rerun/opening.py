@@ -60,7 +60,7 @@ def open_runs(runs: Sequence[str], choice: str, say: Say) -> None:
     """
     folders = [find_run(run) for run in runs]
     for folder in folders:
-        if any(Path(entry.folder) == folder for entry in registry.running()):
+        if any(Path(entry.folder) == folder and not entry.is_over for entry in registry.running()):
             say(f"{folder.name}: is still running: this is as far as it has come; `orchestrator watch` follows it")
     compared = [load_run(folder) for folder in folders] if len(folders) > 1 else []
     if compared:

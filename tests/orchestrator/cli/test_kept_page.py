@@ -21,6 +21,7 @@ def test_a_page_stays_until_ctrl_c_if_up_is_asked_to_keep_it(tmp_path: Path, mon
         link = re.findall(r"http://\S+", up.output)[-1]
         with urllib.request.urlopen(link, timeout=60) as page:
             assert page.status == 200
+        assert orchestrator("status").returncode == 2  # there is no plant to wait for
         up.send(signal.SIGINT)
         assert up.wait() == 0
 

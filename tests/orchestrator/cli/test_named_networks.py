@@ -9,8 +9,10 @@ from pathlib import Path
 
 import pytest
 
+from hedgerow.orchestrator.launch.live import Live
 from hedgerow.orchestrator.runs import registry
-from hedgerow.topologies.errors import Code, UserError
+from hedgerow.topologies.errors import Code, Exit, UserError
+from tests.tools.processes import run_here
 
 
 @pytest.fixture
@@ -115,3 +117,24 @@ def test_an_entry_of_an_older_release_is_still_found(
     del content["directory"]
     entry.write_text(json.dumps(content), encoding="utf-8")
     assert registry.find(None).run == "pair-1"
+
+
+def test_a_run_that_is_over_and_keeps_its_page_is_no_running_network(
+    listed: contextlib.ExitStack, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its plant has ended: a request would wait 10 s for a router that has ended too."""
+    announce(listed, monkeypatch, "pair-1", tmp_path)
+    folder = tmp_path / "runs" / "pair-1"
+    assert not registry.find(None).is_over
+    folder.mkdir(parents=True)
+    (folder / "verdict.json").write_text("{}")
+    for words in (("status",), ("pause", "pair-1"), ("watch", "pair-1"), ("fault", "list", "--run", "pair-1")):
+        done = run_here(*words)
+        assert done.returncode == Exit.USER_MISTAKE
+        assert "orchestrator open" in done.stderr
+    with pytest.raises(UserError) as caught, Live("pair-1"):
+        pass
+    assert caught.value.code == Code.NETWORK_MISSING
+    assert [entry["over"] for entry in json.loads(run_here("ps", "--json").stdout)] == [True]
+    announce(listed, monkeypatch, "pair-2", tmp_path)
+    assert registry.find(None).run == "pair-2"

@@ -213,11 +213,11 @@ def test_a_gain_repeats_over_zenoh(law: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("name", "steps", "least"), [("line5", 150, 2.0), ("paper7", 1000, 3.38)])
-def test_another_member_is_proved_if_the_best_of_a_population_is_not(name: str, steps: int, least: float) -> None:
+def test_another_member_is_repeated_if_the_best_of_a_population_is_not(name: str, steps: int, least: float) -> None:
     hunt = Hunt(hg.load(name), steps=steps)
     hunt.run(60, lambda _: None, quit_now=lambda: True)
     hunt.state.champions.clear()
-    assert hunt.proved()[0].limit > least
+    assert hunt.repeated()[0].limit > least
 
 
 def test_a_file_without_a_state_is_refused(tmp_path: Path) -> None:

@@ -301,7 +301,7 @@ def test_plain_gives_lines_on_a_terminal_too() -> None:
     with Pty("simulate", "paper7", "--no-record", "--plain") as ran:
         assert ran.wait() == 0
     assert "\x1b" not in ran.output
-    assert [line.split()[0] for line in ran.output.splitlines()] == ["run", "see", "valid:"]
+    assert [line.split()[0] for line in ran.output.splitlines()] == ["run", "draw", "valid:"]
 
 
 def test_ctrl_c_ends_a_simulation_below_its_table() -> None:

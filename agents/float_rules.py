@@ -1,4 +1,4 @@
-"""The laws of the project for one node in Python's floats, for the quiet steps of small shards (agents.quiet).
+"""The laws of the project for one node in Python's floats, for the quiet steps of small shards (agents.float_law).
 
 A rule learns one sample and acts: the same operations in the same order as the law in `agents/laws`, so that both give
 the same bits. The law itself stays the definition: it makes all other steps, and a test compares the two.
@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from math import floor, inf, ldexp, nan
 from typing import Any
 
+from hedgerow.agents.float_rule import Act, Memory, Rule, Sample
 from hedgerow.agents.laws.bayes import Bayes
 from hedgerow.agents.laws.centred import Centred
 from hedgerow.agents.laws.either import Either
@@ -21,7 +22,6 @@ from hedgerow.agents.laws.rls import RLS
 from hedgerow.agents.laws.robust import Robust
 from hedgerow.agents.laws.set_membership import TIE, SetMembership
 from hedgerow.agents.laws.thompson import Thompson
-from hedgerow.agents.quiet_rule import Act, Memory, Rule, Sample
 from hedgerow.topologies import lots
 
 

@@ -11,18 +11,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hedgerow.agents import quiet
+from hedgerow.agents import float_law
+from hedgerow.agents.float_law import FloatLaw
+from hedgerow.agents.float_rules import _RULES
 from hedgerow.agents.loading import new_law
 from hedgerow.agents.local import Received
-from hedgerow.agents.quiet import QuietLaw
-from hedgerow.agents.quiet_laws import _RULES
 from hedgerow.agents.view import Peer, View
 from hedgerow.orchestrator.ground.assignment import layout
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire.message import Link
-from tests.agents.test_quiet import check_same_bits, general_path
+from tests.agents.test_float_law import check_same_bits, general_path
 from tests.test_faults import faulty, harsh
 from tests.tools.examples import examples
 from tests.tools.networks import partitions, simulate
@@ -54,21 +54,21 @@ def test_long_runs_with_crashes_and_lost_messages_have_the_same_bits(law: str) -
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_the_quiet_law_makes_almost_every_step_of_a_run_without_faults(law: str) -> None:
+def test_floats_make_almost_every_step_of_a_run_without_faults(law: str) -> None:
     topology = resolve(load("paper7", ["steps=30", f"law={law}"]))
     made = 0
-    step = QuietLaw.step
+    step = FloatLaw.step
 
-    def counted(self: QuietLaw, *given: Any) -> Any:
+    def counted(self: FloatLaw, *given: Any) -> Any:
         nonlocal made
         made += 1
         return step(self, *given)
 
     with general_path():
         expected = simulate(topology, layout(topology, 7))
-    with mock.patch.object(QuietLaw, "step", counted):
+    with mock.patch.object(FloatLaw, "step", counted):
         assert simulate(topology, layout(topology, 7)).same_bits(expected)
-    assert made == 7 * (30 - 1 - quiet.STEPS_BEFORE)
+    assert made == 7 * (30 - 1 - float_law.STEPS_BEFORE)
 
 
 @given(
@@ -95,11 +95,11 @@ def test_any_numbers_give_the_bits_of_the_law_or_are_left_to_it(
         seed=5,
     )
     expected, other = new_law(view), new_law(view)
-    ours = QuietLaw.of(view, other)
+    ours = FloatLaw.of(view, other)
     assert ours is not None
     x, u = np.zeros(1), np.zeros(1)
-    for _ in range(quiet.STEPS_BEFORE):
-        ours.count_general(True, x, u, np.zeros((2, 1)))
+    for _ in range(float_law.STEPS_BEFORE):
+        ours.enter_after(True, x, u, np.zeros((2, 1)))
     asked = {"forgetting": 0, "notch": 1, "either": 1, "thompson": 2}.get(law.partition("(")[0], 0)
 
     def received(t: int) -> Received:
@@ -117,5 +117,5 @@ def test_any_numbers_give_the_bits_of_the_law_or_are_left_to_it(
         assert np.array(ours.u).tobytes() == u.tobytes()
         assert np.array(ours.report).tobytes() == np.asarray(expected.report()).tobytes()
     with np.errstate(all="ignore"):  # as in every process of a run
-        ours.give_back()
+        ours.leave()
     assert np.asarray(other.memory).tobytes() == np.asarray(expected.memory).tobytes()

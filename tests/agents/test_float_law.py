@@ -14,9 +14,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hedgerow.agents import quiet
+from hedgerow.agents import float_law
+from hedgerow.agents.float_law import FloatLaw
 from hedgerow.agents.law import Minimax
-from hedgerow.agents.quiet import QuietLaw
 from hedgerow.agents.shard import Shard
 from hedgerow.agents.view import Peer, View
 from hedgerow.orchestrator.ground.assignment import Layout, layout, truth_of, views_of
@@ -34,14 +34,14 @@ from tests.tools.networks import partitions, read, simulate
 @contextmanager
 def general_path() -> Iterator[None]:
     """All shards made meanwhile use numpy for every step."""
-    with mock.patch.object(QuietLaw, "of", return_value=None):
+    with mock.patch.object(FloatLaw, "of", return_value=None):
         yield
 
 
 @contextmanager
 def patience(steps: int) -> Iterator[None]:
     """Let floats take over after this number of quiet steps."""
-    with mock.patch.object(quiet, "STEPS_BEFORE", steps):
+    with mock.patch.object(float_law, "STEPS_BEFORE", steps):
         yield
 
 
@@ -69,19 +69,19 @@ def test_long_runs_with_crashes_and_lost_messages_have_the_same_bits(seed: int, 
     check_same_bits(topology, layout(topology, processes), 1)
 
 
-def test_the_quiet_law_makes_almost_every_step_of_a_run_without_faults() -> None:
+def test_floats_make_almost_every_step_of_a_run_without_faults() -> None:
     topology = resolve(load("paper7", ["steps=30"]))
     made = 0
-    step = QuietLaw.step
+    step = FloatLaw.step
 
-    def counted(self: QuietLaw, *given: Any) -> Any:
+    def counted(self: FloatLaw, *given: Any) -> Any:
         nonlocal made
         made += 1
         return step(self, *given)
 
-    with mock.patch.object(QuietLaw, "step", counted):
+    with mock.patch.object(FloatLaw, "step", counted):
         simulate(topology, layout(topology, 7))
-    assert made == 7 * (30 - 1 - quiet.STEPS_BEFORE)
+    assert made == 7 * (30 - 1 - float_law.STEPS_BEFORE)
 
 
 @given(
@@ -106,11 +106,11 @@ def test_any_numbers_give_the_bits_of_the_law_or_are_passed_to_it(
         history=0,
     )
     law, other = Minimax(b, view.candidates), Minimax(b, view.candidates)
-    ours = QuietLaw.of(view, other)
+    ours = FloatLaw.of(view, other)
     assert ours is not None
     x, u = np.zeros(1), np.zeros(1)
-    for _ in range(quiet.STEPS_BEFORE):
-        ours.count_general(True, x, u, np.zeros((2, 1)))
+    for _ in range(float_law.STEPS_BEFORE):
+        ours.enter_after(True, x, u, np.zeros((2, 1)))
     for one, two, now in zip(values[::3], values[1::3], values[2::3], strict=True):
         answer = ours.step([now], [Link(0, 0, bytes(16), struct.pack("<2d", one, two))], 0)
         if answer is None:
@@ -120,17 +120,17 @@ def test_any_numbers_give_the_bits_of_the_law_or_are_passed_to_it(
             x, u = np.array([now]), law.act(np.array([now]))
         assert np.array(ours.u).tobytes() == u.tobytes()
         assert np.array(ours.report).tobytes() == law.report().tobytes()
-    ours.give_back()
+    ours.leave()
     assert other.memory.tobytes() == law.memory.tobytes()
 
 
 @pytest.mark.parametrize("law", ["tests.tools.laws:Curious", "minimax"])
-def test_only_the_law_of_the_paper_and_few_nodes_are_quiet(law: str) -> None:
+def test_only_the_law_of_the_paper_and_few_nodes_are_in_floats(law: str) -> None:
     topology = resolve(load("paper7", [f"law={law}"]))
     nodes = {"nodes": list(range(9)), "defaults": {"a": 0.4, "candidates": [0.4, 0.6]}}
     many = read(json.dumps({"name": "nine", "b": 0.1, "steps": 5, "law": law, "edges": [[0, 1], [7, 8]]} | nodes))
     views = [views_of(one, layout(one, processes)) for one, processes in ((topology, 7), (many, 1))]
-    alone, together = (Shard(each[0])._quiet is not None for each in views)
+    alone, together = (Shard(each[0])._floats is not None for each in views)
     assert (alone, together) == (law == "minimax", False)
 
 
@@ -164,11 +164,11 @@ def test_messages_answered_without_numpy_are_those_of_the_general_path(processes
                 shard.receive(back, link)
         nothing = np.zeros((2, len(topology.ids)))
         world.step(np.concatenate(inputs), nothing, [b""] * processes)
-    assert quietly == processes * (30 - 1 - quiet.STEPS_BEFORE)
+    assert quietly == processes * (30 - 1 - float_law.STEPS_BEFORE)
 
 
 def test_a_state_of_another_step_or_with_more_in_it_is_left_to_the_general_path() -> None:
-    forms = quiet.QuietForms(1, [None])
+    forms = float_law.FloatForms(1, [None])
     message = encode_state(5, np.ones(1), b"")
     assert forms.states(message, 5) == [1.0]
     assert forms.states(message, 4) is forms.states(encode_state(5, np.ones(1), b"\x07"), 5) is None

@@ -1,4 +1,4 @@
-"""The rule of a law for one node in Python's floats: what the quiet step (agents.quiet) calls."""
+"""The rule of a law for one node in Python's floats: what the quiet step (agents.float_law) calls."""
 
 from __future__ import annotations
 

@@ -2,9 +2,9 @@
 
 A step is quiet if every edge is open, every message of the step before is there, and nothing is learned late. Almost
 every step is. An array of one number costs as much as one of a hundred. So a shard of a few nodes makes its quiet steps
-here. The paper's law is below, and the other laws of the project are in agents.quiet_laws. With the law of the paper,
+here. The paper's law is below, and the other laws of the project are in agents.float_rules. With the law of the paper,
 steps with dropped or late messages are made here too (agents.waiting). Other steps, and laws of other classes, use the
-general path (agents.samples and the law itself). `give_back` passes everything to the general path. Both ways give the
+general path (agents.samples and the law itself). `leave` passes everything to the general path. Both ways give the
 same bits, because they do the same operations in the same order.
 """
 
@@ -17,9 +17,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hedgerow.agents.float_rule import Rule, Sample
 from hedgerow.agents.law import Array, Law, Minimax
 from hedgerow.agents.local import asks
-from hedgerow.agents.quiet_rule import Rule, Sample
 from hedgerow.agents.samples import Samples
 from hedgerow.agents.view import View
 from hedgerow.agents.waiting import MOST_WAITING, Row, Waiting
@@ -45,7 +45,7 @@ class _Node(NamedTuple):
     """of a law other than `Minimax`"""
 
 
-class QuietLaw:
+class FloatLaw:
     """The law of a few nodes, and their last states, inputs and reports, in floats."""
 
     def __init__(self, view: View, law: Law, rules: Sequence[Rule | None]) -> None:
@@ -63,8 +63,8 @@ class QuietLaw:
         self._asks = asks(law.learn, "sample")
         self._rows = [struct.Struct(f"<{peer.receives}d") for peer in view.peers]
         self._J: Sequence[list[float]] = ()
-        self.has_memory = False
-        """True while the newest memory is here, and not in the law"""
+        self.is_active = False
+        """True while the steps are made here: the newest costs J are here, and not in the law"""
         self.x: Sequence[float] = ()
         """states of the last step, (k,)"""
         self.states: Sequence[float] = ()
@@ -80,8 +80,8 @@ class QuietLaw:
         """number of steps of the general path in a row that could have been made here"""
 
     @classmethod
-    def of(cls, view: View, law: Law) -> QuietLaw | None:
-        """Return the quiet law of a view; None if its nodes are too many, or its law is of another class."""
+    def of(cls, view: View, law: Law) -> FloatLaw | None:
+        """Return the law of a view in floats; None if its nodes are too many, or its law is of another class."""
         if view.k > FEW_NODES or len(view.row) > MOST_INCIDENCES:
             return None
         # Python raises an error where numpy divides by zero. Only the end of a candidate list may have padding.
@@ -92,7 +92,7 @@ class QuietLaw:
         if type(law) is not Minimax:
             if not listed.all():  # the rules of other laws know lists of one length only
                 return None
-            from hedgerow.agents.quiet_laws import rule_of  # noqa: PLC0415 (it loads every law of the project)
+            from hedgerow.agents.float_rules import rule_of  # noqa: PLC0415 (it loads every law of the project)
 
             rules = [rule_of(law, node) for node in range(view.k)]
             if None in rules:
@@ -100,7 +100,7 @@ class QuietLaw:
         return cls(view, law, rules)
 
     @property
-    def has_waiting(self) -> bool:
+    def waits(self) -> bool:
         """Return True if a sample waits for a row."""
         return self.waiting is not None and self.waiting.most > 0
 
@@ -110,40 +110,40 @@ class QuietLaw:
             return True
         return self.waiting is not None and all(bits & Flag.OPEN for bits in flags)
 
-    def count_general(self, possible: bool, x: Array, u: Array, report: Array, samples: Samples | None = None) -> None:
-        """Count a step that the general path made; after some possible ones in a row, take over from the general path.
+    def enter_after(self, possible: bool, x: Array, u: Array, report: Array, samples: Samples | None = None) -> None:
+        """Count a step that the general path made; after some possible ones in a row, make the next steps here.
 
         A step is possible if it could be made here. The samples that wait in `samples` come here, too.
         """
         self._possible = self._possible + 1 if possible else 0
         if self._possible < STEPS_BEFORE or not isfinite(sum(x.tolist()) + sum(u.tolist())):
             return
-        if samples is not None and not self._takes_over(samples):
+        if samples is not None and not self._enter_waiting(samples):
             return
         self.x, self.u, self.report = x.tolist(), u.tolist(), report.ravel().tolist()
         memory = self._law.memory.T.tolist()
         self._J = [
             J[: len(node.candidates)] if node.rule is None else J for J, node in zip(memory, self._nodes, strict=True)
         ]
-        self.has_memory = True
+        self.is_active = True
 
-    def _takes_over(self, samples: Samples) -> bool:
-        """Take over the samples that wait; return False, with nothing changed, if that is impossible."""
+    def _enter_waiting(self, samples: Samples) -> bool:
+        """Take the samples that wait; return False, with nothing changed, if that is impossible."""
         if self.waiting is None:
             return samples.complete
         learned = None if samples.complete else samples.unlearned
-        if not self.waiting.begin(samples.last(MOST_WAITING), learned):
+        if not self.waiting.enter(samples.last(MOST_WAITING), learned):
             return False
         samples.forget_last(self.waiting.most)
         return True
 
-    def give_back(self) -> None:
-        """Hand everything learned back to the law; `waiting` still holds the samples that wait."""
+    def leave(self) -> None:
+        """Hand what was learned back to the law; `waiting` still holds the samples that wait."""
         J = np.full((self._height, len(self._nodes)), np.inf)
         for column, own in zip(J.T, self._J, strict=True):
             column[: len(own)] = own
         self._law.memory = J
-        self._J, self._possible, self.has_memory = (), 0, False
+        self._J, self._possible, self.is_active = (), 0, False
 
     def step(self, states: Sequence[float], links: Sequence[Link | bytes], past: int) -> Sequence[float] | None:
         """Learn the sample of t - 1, equation (7), and act at t, equation (6), for the states x(t), (k,).
@@ -202,8 +202,10 @@ class QuietLaw:
         made = []
         for i, (node, J, now) in enumerate(zip(self._nodes, self._J, states, strict=True)):
             learned = J
-            # The row of t - 1 is -1. If two samples waited, they are those of rows -3 and -2 now. If one waits
-            # afterwards, that of row -1, then rows -3 and -2 are complete.
+            # An example, with k as the index in `rows`, where -1 is the row of t - 1:
+            #   two samples waited before this step (`waiting.counts`): those of -3 and -2
+            #   one waits after it (`counts`): that of -1
+            #   so those of -3 and -2 are learned now: range(-1 - 2, -1)
             for k in range(-1 - waiting.counts[i], -counts[i]):
                 x, row = rows[k]
                 learned = _learned(node, learned, row, x[i], now if k == -1 else rows[k + 1].x[i])
@@ -268,7 +270,7 @@ def _acted(node: _Node, J: list[float], x: float) -> tuple[float, float, float]:
     return node.b * x / (ahat - 1.0), ahat, ordered[1] - least if len(ordered) > 1 else inf
 
 
-class QuietForms:
+class FloatForms:
     """The messages of a quiet step: a state is taken apart and an answer packed without numpy."""
 
     def __init__(self, k: int, audience: Sequence[Sequence[int] | None]) -> None:
