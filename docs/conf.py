@@ -47,7 +47,11 @@ myst_fence_as_directive: list[str] = []
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_preserve_defaults = True
+# An alias is one word in a signature; written out, the union of all kinds of faults would take a thousand letters.
+autodoc_type_aliases = {name: name for name in ("Array", "Fault", "Index", "Mask", "Named")}
 python_use_unqualified_type_names = True
+# A long signature has one line per argument.
+maximum_signature_line_length = 90
 
 html_theme = "furo"
 html_title = f"Hedgerow {release}"

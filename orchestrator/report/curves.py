@@ -15,7 +15,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import StepPatch
 from matplotlib.ticker import MaxNLocator
 
-from hedgerow.orchestrator.ground.colours import BLACK, GREY, SKY
+from hedgerow.orchestrator.ground.colours import GREY, SKY
+from hedgerow.orchestrator.report.style import ink
 from hedgerow.orchestrator.runs.run import Run
 from hedgerow.topologies.graph import Array, Index
 
@@ -96,7 +97,7 @@ def draw_nodes(axis: Axes, run: Run, values: Array) -> Entries:
         return Entries(lines, ["node " * (k == 0) + plain(short(str(node))) for k, node in enumerate(run.ids)])
     t, (least, low, median, high, most) = quantiles(values, (0, 0.1, 0.5, 0.9, 1))
     bands = [
-        axis.plot(t, median, color=BLACK)[0],
+        axis.plot(t, median, color=ink())[0],
         axis.fill_between(t, low, high, color=SKY, lw=0, alpha=0.8),
         axis.fill_between(t, least, most, color=SKY, lw=0, alpha=0.3, zorder=0.5),
     ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import itertools
 import shutil
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
@@ -15,6 +16,7 @@ from string import ascii_lowercase
 from typing import Any
 
 import matplotlib.style
+from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_pdf import FigureCanvasPdf
@@ -30,6 +32,19 @@ from hedgerow.topologies.regular_file import check_regular
 def colour(place: int) -> str:
     """Return the colour of a run, by its place in a comparison."""
     return COLOURS[place % len(COLOURS)]
+
+
+_MARKERS = "os^Dv<>"
+
+
+def marker(place: int) -> str:
+    """Return the marker of a run, by its place in a comparison."""
+    return _MARKERS[place % len(_MARKERS)]
+
+
+def ink() -> str:
+    """Return the colour of text: black, or another one if the user's style has a dark background."""
+    return str(matplotlib.rcParams["text.color"])
 
 
 FORMATS = ("pdf", "png", "svg", "pgf")
@@ -86,13 +101,19 @@ def look(asked: Look = Look()) -> Iterator[None]:
 
 
 def _use(style: str) -> None:
-    """Apply a user's style on top of ours."""
+    """Apply a user's style on top of ours; lines keep our line styles if the user's style has colours only."""
+    ours = matplotlib.rcParams["axes.prop_cycle"].by_key()["linestyle"]
     try:
         if (path := user_path(style)).exists():
             check_regular(path)
         with warnings.catch_warnings():
             warnings.simplefilter("error")  # matplotlib only warns of an unknown key
             matplotlib.style.use(str(path) if path.exists() else style)
+        cycle = matplotlib.rcParams["axes.prop_cycle"]
+        if "linestyle" not in cycle.keys:
+            rows = [one for _, one in zip(ours, itertools.cycle(cycle), strict=False)]
+            keys = {key: [one[key] for one in rows] for key in cycle.keys}
+            matplotlib.rcParams["axes.prop_cycle"] = cycler(**keys, linestyle=ours)
     except (OSError, UserWarning, ValueError, SyntaxError, KeyError) as error:
         raise UserError(
             f"--style {style}: cannot be used: {error}. Give a .mplstyle file or the name of a style of matplotlib.",

@@ -11,9 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from hedgerow.orchestrator.ground.colours import BLACK, BLUE, ORANGE, RED
+from hedgerow.orchestrator.ground.colours import BLUE, ORANGE, RED
 from hedgerow.orchestrator.report.curves import Entries, bins, called, legend, plain, short, steps_axis
-from hedgerow.orchestrator.report.style import sheet
+from hedgerow.orchestrator.report.style import ink, sheet
 from hedgerow.orchestrator.runs.run import Run
 from hedgerow.topologies.graph import Mask
 
@@ -91,7 +91,7 @@ def _bars(axis: Axes, listed: Sequence[Row]) -> dict[str, Artist]:
                 shown[what] = axis.broken_barh(bars, (place - 0.35 + part * tall, tall), color=_COLOUR[what], lw=0)
         if row.jumps:
             at = np.full(len(row.jumps), place)
-            shown[_JUMP] = axis.plot(row.jumps, at, ls="", marker="D", ms=3, color=BLACK, clip_on=False)[0]
+            shown[_JUMP] = axis.plot(row.jumps, at, ls="", marker="D", ms=3, color=ink(), clip_on=False)[0]
     axis.set_yticks(range(len(listed)), [plain(row.name) for row in listed])
     axis.set_ylim(max(1, len(listed)) - 0.5, -0.5)
     axis.set_ylabel("link, node" if len(listed) > 2 else "")
@@ -121,7 +121,7 @@ def _counts(axis: Axes, listed: Sequence[Row]) -> dict[str, Artist]:
         most = np.maximum.reduceat(number, starts)
         shown[what] = axis.step(starts, most, where="post", color=colour)[0]
     if jumps := [step for row in listed for step in row.jumps]:
-        shown[_JUMP] = axis.plot(jumps, [0] * len(jumps), ls="", marker="D", ms=3, color=BLACK, clip_on=False)[0]
+        shown[_JUMP] = axis.plot(jumps, [0] * len(jumps), ls="", marker="D", ms=3, color=ink(), clip_on=False)[0]
     axis.yaxis.set_major_locator(MaxNLocator("auto", integer=True))
     axis.set_ylabel("links, nodes [count]")
     axis.set_ylim(bottom=0)

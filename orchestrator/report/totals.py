@@ -11,9 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from hedgerow.orchestrator.ground.colours import BLACK, BLUE, GREY, ORANGE, RED
+from hedgerow.orchestrator.ground.colours import BLUE, GREY, ORANGE, RED
 from hedgerow.orchestrator.report.curves import Entries, called, extremes, law, legend, stairs, steps_axis, thin
-from hedgerow.orchestrator.report.style import colour, sheet
+from hedgerow.orchestrator.report.style import colour, ink, marker, sheet
 from hedgerow.orchestrator.runs.guaranteed import is_recorded
 from hedgerow.orchestrator.runs.run import Run
 from hedgerow.topologies.graph import Array
@@ -22,7 +22,11 @@ Runs = Sequence[Run]
 
 
 class Series(NamedTuple):
-    """One number per step; its colour distinguishes the series of one run, its line style the runs of a comparison."""
+    """One number per step.
+
+    In the figure of one run, series differ by colour and line style. In a comparison, the runs differ by colour and
+    marker, and the series of each by line style.
+    """
 
     name: str
     of: Callable[[Run], Array | float]
@@ -45,17 +49,38 @@ def draw_series(axis: Axes, runs: Runs, listed: Sequence[Series]) -> Entries:
                 drawn.append(axis.axhline(values, **line))
             elif series.holds:
                 drawn.append(stairs(axis, values, **line, lw=1))
+                if not alone:  # a patch of stairs has no markers
+                    at = np.array(marked(len(values), k, len(runs)), dtype=int)
+                    axis.plot(at + 0.5, values[at], **line | {"ls": ""}, **_mark(k))
             else:
-                drawn += axis.plot(*thin(values), **line)
+                t, shown = thin(values)
+                marks = {} if alone else {"markevery": marked(len(t), k, len(runs)), **_mark(k)}
+                drawn += axis.plot(t, shown, **line, **marks)
     if alone:
         return Entries(drawn, [series.name or law(runs[0]) for series in listed])
     named = [called(k, run) for k, run in enumerate(runs)]
-    solid = [Line2D([], [], color=colour(k)) for k in range(len(runs))]
+    solid = [Line2D([], [], color=colour(k), ls="-", **_mark(k)) for k in range(len(runs))]
     styles = [series for series in listed if series.name]
     return Entries(
-        [*solid, *(Line2D([], [], color=BLACK, ls=series.style) for series in styles)],
+        [*solid, *(Line2D([], [], color=ink(), ls=series.style) for series in styles)],
         [*named, *(series.name for series in styles)],
     )
+
+
+MARKS = 5
+"""the number of markers on a line"""
+
+
+def marked(points: int, place: int, runs: int) -> list[int]:
+    """Return the positions of up to MARKS markers on a line; each run of a comparison has its own, so that equal lines
+    show all.
+    """
+    part = (np.arange(MARKS) + (place + 0.5) / runs) / MARKS
+    return [int(at) for at in np.unique((part * points).astype(int))]
+
+
+def _mark(place: int) -> dict[str, Any]:
+    return {"marker": marker(place), "ms": 3.5}
 
 
 def _one(runs: Runs, label: str, listed: Sequence[Series]) -> tuple[Figure, Axes]:
@@ -111,7 +136,8 @@ def gain(runs: Runs) -> Figure:
     bound.
     """
     figure, axis = _one(runs, "gain [1]", [GAINS[0], CEILING, *GAINS[1:]] if _bounded(runs) else GAINS)
-    axis.set_ylim(0, ceiling(runs))
+    # Start a little below 0: a gain of 0 without the cost of x(0) would lie under the axis.
+    axis.set_ylim(-0.03 * ceiling(runs), ceiling(runs))
     return figure
 
 

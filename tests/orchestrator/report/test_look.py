@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from PIL import Image
 
 from hedgerow.orchestrator.report import report
+from hedgerow.orchestrator.report.estimates import draw_estimates
+from hedgerow.orchestrator.report.nodes import states
+from hedgerow.orchestrator.report.style import Look, look
+from hedgerow.orchestrator.report.totals import cost, gain, marked, slack, sums
 from hedgerow.orchestrator.runs.reader import load_run
 from hedgerow.orchestrator.runs.run import Run
 from hedgerow.topologies.errors import Code, UserError
@@ -63,3 +71,44 @@ def test_a_look_that_cannot_be_is_refused_and_writes_nothing(
         report([run], tmp_path / "out", "2", **asked)  # type: ignore[arg-type]
     assert refused.value.code == Code.OPTION
     assert not (tmp_path / "out").exists()
+
+
+def lines_of(figure: Figure) -> list[Line2D]:
+    return [line for axis in figure.axes for line in axis.get_lines()]
+
+
+def test_a_style_of_colours_alone_keeps_the_line_styles(run: Run) -> None:
+    with look(Look(style="grayscale")):
+        figure = states([run])
+    drawn = [line for line in figure.axes[0].get_lines() if line.get_zorder() >= 2]
+    looks = {(str(line.get_color()), str(line._dash_pattern)) for line in drawn}  # type: ignore[attr-defined]
+    assert len(looks) == len(run.ids)
+
+
+def test_a_dark_style_draws_no_line_in_black(run: Run) -> None:
+    with look(Look(style="dark_background")):
+        figures = [sums([run, run]), gain([run, run])]
+        legends = [handle for figure in figures for handle in figure.legends[0].get_lines()]
+        shown = [line for figure in figures for line in lines_of(figure)] + legends
+    assert not [line for line in shown if to_rgb(line.get_color()) == (0, 0, 0)]
+
+
+@pytest.mark.parametrize("draw", [sums, cost, gain, slack, draw_estimates])
+def test_compared_runs_differ_without_colour(run: Run, draw: Callable[[list[Run]], Figure]) -> None:
+    with look():
+        figure = draw([run, run])
+    markers = [handle.get_marker() for handle in figure.legends[0].get_lines()][:2]
+    assert len(set(markers) - {"None", ""}) == 2
+    assert set(markers) <= {line.get_marker() for line in lines_of(figure)}
+
+
+def test_the_markers_of_equal_runs_are_at_different_steps() -> None:
+    one, other = (set(marked(30, place, 2)) for place in range(2))
+    assert one
+    assert other
+    assert not one & other
+
+
+def test_a_gain_of_zero_is_above_the_axis(run: Run) -> None:
+    with look():
+        assert gain([run]).axes[0].get_ylim()[0] < 0
