@@ -150,7 +150,7 @@ The *oracle* is the same network with the same disturbances, x(0) and closed edg
 - **Gain** √(Σ cost / Σ |w|²) of the disturbance so far; the cost of a step is |x|² + {edge_cost}. *at most, from
   x(0) = 0* is a bound on the gain of a run that starts at x(0) = 0, for the truth of this network. After a cut edge, a
   larger bound holds; after a jump of an a, one for any a(t) within the lists. A gain *with x(0)* has the cost of the
-  initial states too, so it may start far above the lines, which no certificate forbids. The axis ends at 4 γ\\*.
+  initial states too, so it may start far above the lines. The axis ends at 4 γ\\*.
 - **Faults**: lost messages, cut edges and dead agents in telemetry.
 - **Round trips**: the time of each process to answer a step, by the plant's clock [ms]; over Zenoh only.
 
