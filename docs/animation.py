@@ -17,9 +17,11 @@ import tempfile
 import time
 from pathlib import Path
 
+import numpy as np
 from PIL import Image
 from rerun.experimental import ViewerClient
 
+from hedgerow.orchestrator.views.palette import state_colors
 from hedgerow.orchestrator.views.rerun.viewer import native
 
 STEPS = 64
@@ -84,7 +86,11 @@ def main() -> None:
     sheet = Image.new("RGB", (WIDTH, height * 4))
     for k in range(4):
         sheet.paste(small[(k + 1) * len(small) // 5], (0, k * height))
-    palette = sheet.quantize(128, kmeans=2)
+    palette = sheet.quantize(112, kmeans=2)
+    # Add the colours of the nodes: a few pixels of yellow would be drawn in the nearest frequent colour, an orange.
+    fixed = state_colors(np.linspace(0, 1, 16)).view(np.uint8).reshape(-1, 4)[:, :0:-1].ravel().tolist()
+    frequent = palette.getpalette() or []
+    palette.putpalette([*frequent[: 3 * 112], *fixed])
     drawn = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in small]
     times = [FRAME_MS] * (len(drawn) - 1) + [LAST_MS]
     drawn[0].save(IMAGE, save_all=True, append_images=drawn[1:], duration=times, loop=0, optimize=True)

@@ -57,3 +57,12 @@ def test_signatures_name_their_types_in_a_word(site: Path) -> None:
     text = (site / "python.html").read_text(encoding="utf-8")
     assert "Annotated" not in text
     assert "pydantic" not in text
+
+
+def test_a_picture_with_small_text_is_wide_enough_to_be_read(site: Path, page: Page) -> None:
+    narrow = {}
+    for name in ("gallery", "paper", "your-law", "your-network", "faults", "concepts", "watching", "start"):
+        page.goto((site / f"{name}.html").as_uri())
+        widths = page.evaluate("[...document.querySelectorAll('.content img')].map(e => e.clientWidth)")
+        narrow |= {name: widths} if min(widths) < 600 else {}
+    assert narrow == {}
