@@ -60,7 +60,7 @@ def test_signatures_name_their_types_in_a_word(site: Path) -> None:
 
 
 def test_a_picture_with_small_text_is_wide_enough_to_be_read(site: Path, page: Page) -> None:
-    narrow = {}
+    narrow: dict[str, list[int]] = {}
     for name in ("gallery", "paper", "your-law", "your-network", "faults", "concepts", "watching", "start"):
         page.goto((site / f"{name}.html").as_uri())
         widths = page.evaluate("[...document.querySelectorAll('.content img')].map(e => e.clientWidth)")
