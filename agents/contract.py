@@ -384,16 +384,27 @@ class _Test:
         of = "" if node is None else f" of node {self._trial.ids[node]}"
         called = "memory" if method == "memory" else f"{method}()"
         where = line_of(self._law, method)
-        text = f"{where}law {self._name} breaks the contract of laws: {called}{of} {what}. {cure}"
+        text = f"{where}law {self._name} breaks the contract of laws: {called}{of} {what}. {cure}{self._lists(node)}"
         raise LawError(text, method=method, node=None if node is None else self._trial.ids[node])
 
     def _raised(self, method: str, error: BaseException) -> NoReturn:
         if isinstance(error, SystemExit) and type(error) is not SystemExit:
             raise error  # of a signal handler of ours, and not of the law
         called = "memory" if method == "memory" else f"{method}()"
-        problem = f"{called} raised {crash.summary(error)}. Correct that line."
+        problem = f"{called} raised {crash.summary(error)}. Correct that line.{self._lists(None)}"
         where = place_of(error, self._law) or line_of(self._law, method)
         raise LawError(f"{where}law {self._name}: {problem}", method=method) from error
+
+    def _lists(self, node: int | None) -> str:
+        """Return a sentence about the candidates of a node, or of all, if a law can fail at their number."""
+        counts: list[int] = (~np.isnan(self._trial.candidates)).sum(axis=0).tolist()
+        most = max(counts)
+        if node is not None:
+            ends = f", and {most - counts[node]} NaN behind them" if counts[node] < most else ""
+            return f" Its list has {counts[node]} of {most} candidates{ends}." if ends or most == 1 else ""
+        if min(counts) == most > 1:
+            return ""
+        return f" The nodes have lists of {', '.join(map(str, counts))} candidates; shorter ones end with NaN."
 
 
 def _copy(name: str) -> str:

@@ -67,9 +67,15 @@ copybutton_only_copy_prompt_lines = True
 
 
 def setup(app: Sphinx) -> None:
-    """Name the file where CONTRIBUTING.md links to code: the site holds pages, and no sources."""
+    """Name the file where CONTRIBUTING.md links to code, and remove the marks of our tests: readers copy commands."""
     app.connect("include-read", _name_sources)
+    app.connect("source-read", _unmark)
 
 
 def _name_sources(_app: Sphinx, _path: Path, _page: str, content: list[str]) -> None:
     content[0] = re.sub(r"\[(`[^`\]]+`)\]\((\w+/[\w/]+\.py)\)", r"\1 in `\2`", content[0])
+
+
+def _unmark(_app: Sphinx, _page: str, content: list[str]) -> None:
+    """Remove `# not run` behind commands: our tests leave out a command with this mark."""
+    content[0] = re.sub(r"(?m)^(\$ .*?) +# not run[^\n]*$", r"\1", content[0])

@@ -100,15 +100,16 @@ class _Ahead(NamedTuple):
 
     first: int
     """the first of these steps"""
+    faults: Faults
     changes: int
-    """of the faults, when this was computed"""
+    """the faults, and their number of changes when this was computed"""
     forecast: Forecast
     states: LinkStates
 
-    @property
-    def stop(self) -> int:
-        """The step after the last of these."""
-        return self.first + len(self.forecast.complete)
+    def holds(self, t: int, faults: Faults) -> bool:
+        """Return True if t is one of these steps, and these faults are still the same."""
+        same = self.faults is faults and self.changes == faults.changes
+        return same and 0 <= t - self.first < len(self.forecast.complete)
 
 
 class World:
@@ -163,7 +164,7 @@ class World:
     def begin(self) -> None:
         """Decide which faults, edges and links hold at t."""
         t, faults, links, graph = self.t, self.faults, self.links, self.graph
-        if (ahead := self._ahead) is not None and ahead.changes == faults.changes and t < ahead.stop:
+        if (ahead := self._ahead) is not None and ahead.holds(t, faults):
             self._begin_ahead(ahead)
             return
         before = self._now.absent
@@ -211,7 +212,7 @@ class World:
         forecast = self.links.forecast(faults)
         sent, received = forecast.deliveries, self._received or self.links.whole
         states = LinkStates(self._places, self._open, sent.one_earlier(received), sent)
-        return _Ahead(self.t, self.faults.changes, forecast, states)
+        return _Ahead(self.t, self.faults, self.faults.changes, forecast, states)
 
     def _begin_ahead(self, ahead: _Ahead) -> None:
         k = self.t - ahead.first
@@ -287,7 +288,7 @@ class World:
         """Compute w(t), and the links of t + 1 if they are known, while the plant waits for the inputs of t."""
         self._next_w = self._w()
         self.faults.at(self.t + 1)  # the faults of many steps are computed together
-        if (ahead := self._ahead) is not None and self.t + 1 < ahead.stop:
+        if (ahead := self._ahead) is not None and ahead.holds(self.t + 1, self.faults):
             ahead.states.tails(self.t + 1 - ahead.first)
 
     def _w(self) -> Array:

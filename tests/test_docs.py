@@ -34,6 +34,7 @@ SLOW = {
     "guarantee.md",
     "import.md",
     "laws.md",
+    "live-faults.md",
     "machines.md",
     "paper.md",
     "report.md",

@@ -48,6 +48,7 @@ class Code(StrEnum):
     NETWORK_AMBIGUOUS = "network-ambiguous"
     # Circumstances: exit code 3.
     UNKNOWN = "unknown"
+    VERDICT = "verdict"
     DEADLINE = "deadline"
     WIRE = "wire"
     REFUSED = "refused"

@@ -9,10 +9,11 @@ import os
 import select
 import sys
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
+from hedgerow.orchestrator.cli.spelling import nearest
 from hedgerow.orchestrator.ground.signals import EndNowError
 from hedgerow.topologies.errors import Code, Exit, HedgerowError, TopologyError, UserError
 from hedgerow.topologies.escape import echo
@@ -59,6 +60,15 @@ def run_to_exit_code(command: Callable[[], int]) -> int:
     return code
 
 
+def _suggest_one(error: Any) -> None:
+    """Replace the options that the command line library suggests for a misspelt one by the nearest one."""
+    command = getattr(getattr(error, "ctx", None), "command", None)
+    if command is not None and getattr(error, "possibilities", None) is not None and hasattr(error, "option_name"):
+        options = {name for one in command.params for name in (*one.opts, *one.secondary_opts) if name[:2] == "--"}
+        meant = nearest(error.option_name, {*options, "--help"})
+        error.possibilities = [meant] if meant else []
+
+
 def _unexpected(error: BaseException) -> int:
     """Report in one line an unexpected error that ended the command; return the exit code."""
     if isinstance(error, OSError | SystemExit) and _nobody_reads():
@@ -71,6 +81,7 @@ def _unexpected(error: BaseException) -> int:
         _complain(f"error: the output is incomplete: {full.strerror}; free space, or choose another place")
         return Exit.USER_MISTAKE
     if isinstance(error, Exception) and hasattr(error, "show"):
+        _suggest_one(error)
         with contextlib.suppress(OSError):
             shown = io.StringIO()
             error.show(file=shown)  # a wrong option or argument, with the message of the command line library

@@ -20,7 +20,7 @@ from hedgerow.orchestrator.cli.numbers import real, real_argument, whole, whole_
 from hedgerow.orchestrator.cli.options import AsJson, Running, RunOption, chosen
 from hedgerow.orchestrator.launch.fault_verbs import VERBS, FaultVerbs
 from hedgerow.topologies.errors import DeadlineError, check_options
-from hedgerow.topologies.escape import echo
+from hedgerow.topologies.escape import echo, escape
 
 if TYPE_CHECKING:
     from hedgerow.orchestrator.launch.live import Injected, Live
@@ -61,6 +61,9 @@ _ARGUMENTS: dict[str, tuple[Any, Any]] = {
 Number = Annotated[int | None, whole_argument("the fault's number [all that can be ended]", metavar="ID")]
 
 
+_PIDS_SHOWN = 16
+
+
 def register(app: typer.Typer) -> None:
     """Add these commands to the operator's."""
     app.add_typer(faults, name="fault", rich_help_panel=WATCH)
@@ -74,11 +77,15 @@ def ps(as_json: AsJson = False) -> int:
 
     entries = registry.running()
     if as_json:
-        echo(json.dumps([{**vars(entry), "over": entry.is_over} for entry in entries]))
+        listed = (
+            {**vars(entry), "over": entry.is_over, "verdict": (entry.verdict or None) if entry.is_over else None}
+            for entry in entries
+        )
+        echo(json.dumps([*listed]))
         return 0
     for entry in entries:
         since = datetime.fromtimestamp(entry.started).strftime("%H:%M:%S")
-        over = "  over, its page stays" if entry.is_over else ""
+        over = f"  {entry.ending()}" if entry.is_over else ""
         echo(f"{entry.run}  pid {entry.pid}  since {since}  {entry.folder}{over}")
     if not entries:
         echo("no network is running")
@@ -86,12 +93,19 @@ def ps(as_json: AsJson = False) -> int:
 
 
 def status(run: Running = None, named: RunOption = None, as_json: AsJson = False) -> int:
-    """Print the step of a running network, and the agents that it waits for."""
+    """Print the step of a running network, the agents that it waits for, and the pids of its processes."""
     from hedgerow.orchestrator.launch.live import Live, where  # noqa: PLC0415
 
     with Live(chosen(run, named)) as live:
-        answer = live.status()
-    echo(json.dumps({**vars(live.entry), **answer}) if as_json else f"{live.run}: {where(answer)}")
+        answer, pids = live.status(), live.pids()
+    if as_json:
+        echo(json.dumps({**vars(live.entry), **answer, "pids": pids}))
+        return 0
+    echo(f"{live.run}: {where(answer)}")
+    if pids:
+        shown = ", ".join(f"{escape(name)} {pid}" for name, pid in [*pids.items()][:_PIDS_SHOWN])
+        more = f" and {len(pids) - _PIDS_SHOWN} more, see --json" if len(pids) > _PIDS_SHOWN else ""
+        echo(f"pids: {shown}{more}")
     return 0
 
 

@@ -25,6 +25,7 @@ from hedgerow.orchestrator.ground.assignment import law_of
 from hedgerow.orchestrator.ground.law_source import refresh
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.law_choice import LawChoice
+from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import LAWS, Topology
 from hedgerow.topologies.wording import in_our_words
 
@@ -88,13 +89,11 @@ _KEPT: dict[tuple[type[Law], str, bytes], None] = {}
 
 
 def _keeps_contract(law: type[Law], choice: LawChoice, topology: Topology) -> None:
-    """Raise LawError if a law breaks its contract on nodes of this network, or of a default one before it is drawn."""
+    """Raise LawError if a law breaks its contract on nodes of this network, drawn with its own seed."""
     if _lacks_theta(choice):  # some numbers are still random, and the test needs theta
         return
-    trial = Trial.default()
-    if topology.is_drawn:
-        network = topology.network
-        trial = Trial.of(network.ids, network.b, network.candidates, network.graph.weight is not None)
+    network = (topology if topology.is_drawn else resolve(topology)).network
+    trial = Trial.of(network.ids, network.b, network.candidates, network.graph.weight is not None)
     key = law, str(choice), trial.candidates.tobytes() + np.asarray(trial.b).tobytes() + bytes([trial.weighted])
     if key not in _KEPT:
         name = str(choice)

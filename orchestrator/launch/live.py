@@ -207,6 +207,18 @@ class Live:
         """Return the status: `step` of `steps`, `running`, `paused`, `rate`, and the `missing` and `lost` shards."""
         return self._ask("status")
 
+    def pids(self) -> dict[str, int]:
+        """Return the pid of every process of the run that lives on this machine, by name, from events.jsonl."""
+        from hedgerow.orchestrator.runs.files import load_events  # noqa: PLC0415
+
+        found: dict[str, int] = {}
+        for event in load_events(self.folder):
+            if event["event"] == "start":
+                found |= event.get("pids", {})
+            elif event["event"] == "restarted" and "pid" in event:
+                found[event["process"]] = event["pid"]
+        return {name: pid for name, pid in found.items() if psutil.pid_exists(pid)}
+
     def inject(self, fault: Fault | Mapping[str, Any]) -> Injected:
         """Add a fault; its steps count from the first possible step: [0, 50) is the next 50 steps."""
         model = checked(fault, self.topology)

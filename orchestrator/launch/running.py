@@ -194,14 +194,18 @@ class Running(Live):
     ) -> None:
         self._thaw()
         self.close()
+        judged: HedgerowError | None = None
         try:
             # Read the verdict before end() removes the output that explains a missing one.
             with contextlib.suppress(OSError):
                 self._up.process.stdin.close()  # type: ignore[union-attr]
-            with contextlib.suppress(HedgerowError):
-                self.wait(END_DEADLINE_S)
+            self.wait(END_DEADLINE_S)
+        except HedgerowError as failure:
+            judged = failure if failure.code == Code.VERDICT else None
         finally:
             self._up.end()
+        if judged is not None and error is None:
+            raise judged
 
     @property
     def folder(self) -> Path:

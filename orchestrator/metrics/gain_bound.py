@@ -1,9 +1,11 @@
 """Upper bounds on the gain of the adaptive law: semidefinite programs by clarabel, each answer proved by a Cholesky.
 
-Let alpha_i = 1/(1 - lowest candidate), beta_i = 1/(1 - highest) and z_i = x_i/(1 - ahat_i). B is diag(b) incidence
-diag(sqrt k), and phi are the edge inputs. Find p, tau, nu, s >= 0 and the least g with, for all (x, z, w, phi, v),
+Let alpha_low_i = 1/(1 - lowest candidate), alpha_high_i = 1/(1 - highest) and z_i = x_i/(1 - ahat_i). With the
+incidence matrix N, B is diag(b) N diag(sqrt k), and phi are the edge inputs. Find p, tau, nu, s >= 0 and the least g
+with, for all (x, z, w, phi, v),
 
-    sum p_i (x_i+)^2 - sum p_i x_i^2 + |x|^2 + |phi|^2 - g |w|^2 + sum tau_i (z_i - alpha_i x_i)(beta_i x_i - z_i)
+    sum p_i (x_i+)^2 - sum p_i x_i^2 + |x|^2 + |phi|^2 - g |w|^2
+        + sum tau_i (z_i - alpha_low_i x_i)(alpha_high_i x_i - z_i)
         + sum nu_e phi_e ((B'z)_e - phi_e) + sum s_i (v_i - lowest_i x_i)(highest_i x_i - v_i) <= 0.
 
 The premise decides x+: docs/guarantee.md has the derivation.
@@ -45,6 +47,11 @@ class Premise(StrEnum):
     """any edges closed at any steps as well; x+ = A x - B phi + w"""
     JUMPS = "jumps"
     """any a within its list at any step as well; x+ = v - B phi + w"""
+
+    @property
+    def needs_truth(self) -> bool:
+        """Return True if a bound holds for one given a only, and False if it holds for any a(t) within the lists."""
+        return self != Premise.JUMPS
 
 
 class Method(StrEnum):
@@ -177,9 +184,9 @@ def _whole(plant: PlantModel, premise: Premise, full: bool) -> tuple[Program, In
     n, e = plant.n, len(plant.edges)
     edges = premise != Premise.ESTIMATES
     jumps = premise == Premise.JUMPS
-    alpha, beta = 1 / (1 - plant.lowest), 1 / (1 - plant.highest)
-    fixed, unmoved = alpha == beta, ~np.asarray(plant.lowest < plant.highest) | (not jumps)
-    # Of a node with one candidate z = alpha x, and of one that cannot jump v = a x: no variables.
+    alpha_low, alpha_high = 1 / (1 - plant.lowest), 1 / (1 - plant.highest)
+    fixed, unmoved = alpha_low == alpha_high, ~np.asarray(plant.lowest < plant.highest) | (not jumps)
+    # Of a node with one candidate z = alpha_low x, and of one that cannot jump v = a x: no variables.
     m = 2 * n
     place_z = np.where(fixed, -1, m + np.cumsum(~fixed) - 1)
     m += int((~fixed).sum())
@@ -190,7 +197,7 @@ def _whole(plant: PlantModel, premise: Premise, full: bool) -> tuple[Program, In
     blocks, unknowns = Blocks(m, 1), Unknowns()
     x = [Form((i,), (1.0,)) for i in range(n)]
     w = [Form((n + i,), (1.0,)) for i in range(n)]
-    z = [Form((i,), (float(alpha[i]),)) if fixed[i] else Form((int(place_z[i]),), (1.0,)) for i in range(n)]
+    z = [Form((i,), (float(alpha_low[i]),)) if fixed[i] else Form((int(place_z[i]),), (1.0,)) for i in range(n)]
     phi: list[Form] = []
     gap: list[Form] = []
     incident: list[list[tuple[float, Form]]] = [[] for _ in range(n)]
@@ -216,7 +223,7 @@ def _whole(plant: PlantModel, premise: Premise, full: bool) -> tuple[Program, In
         blocks.add(-1, x[i], x[i])
         blocks.add(0, w[i], w[i], -1.0)
         if not fixed[i]:
-            blocks.sector(int(tau[i]), z[i], x[i], float(alpha[i]), float(beta[i]))
+            blocks.sector(int(tau[i]), z[i], x[i], float(alpha_low[i]), float(alpha_high[i]))
         if not unmoved[i]:
             v = Form((int(place_v[i]),), (1.0,))
             blocks.sector(int(s[i]), v, x[i], float(plant.lowest[i]), float(plant.highest[i]))
@@ -251,8 +258,8 @@ def _split(plant: PlantModel, premise: Premise) -> tuple[Program, Index]:
     """
     n, e = plant.n, len(plant.edges)
     edges, jumps = premise != Premise.ESTIMATES, premise == Premise.JUMPS
-    alpha, beta = 1 / (1 - plant.lowest), 1 / (1 - plant.highest)
-    fixed, unmoved = alpha == beta, ~np.asarray(plant.lowest < plant.highest) | (not jumps)
+    alpha_low, alpha_high = 1 / (1 - plant.lowest), 1 / (1 - plant.highest)
+    fixed, unmoved = alpha_low == alpha_high, ~np.asarray(plant.lowest < plant.highest) | (not jumps)
     ends, edge = plant.edges.T.ravel(), np.tile(np.arange(e), 2)
     order = np.argsort(ends, kind="stable")
     degree = np.bincount(ends, minlength=n)
@@ -271,7 +278,7 @@ def _split(plant: PlantModel, premise: Premise) -> tuple[Program, Index]:
         has_z, has_v = not is_fixed, not is_unmoved
         blocks = Blocks(2 + has_z + has_v + d, len(nodes))
         x, w = Form((0,), (1.0,)), Form((1,), (1.0,))
-        low, high = alpha[nodes], beta[nodes]
+        low, high = alpha_low[nodes], alpha_high[nodes]
         z = Form((2,), (1.0,)) if has_z else Form((0,), (low,))
         v = Form((2 + has_z,), (1.0,)) if has_v else Form((0,), (plant.a[nodes],))
         after_index, after_value = [*v.at, 1], [*v.coefficient, 1.0]

@@ -5,11 +5,11 @@ edge closed so far, no jump so far, every u within the sector of its node's list
 solved beside the run: rows that come before them wait here.
 
 Rounding. With phi and z = -u/b of the recorded u, the state obeys x(t+1) = A x - B phi + w + e, and the inequality
-holds with w + e for w. Let r = (d + 4) u with d the largest degree and u the unit roundoff; then |e| <= r (|x| + |phi|
-+ |w|), since |B| < 1. So g |w + e|^2 exceeds g |w|^2 by at most 5 g r (|x|^2 + |phi|^2 + |w|^2). z may lie outside its
-sector by SECTOR relative to it. The margin of the bound covers both if it is at least (5 r + 2 SECTOR) times the
-bound's magnitude, and g is not more than the magnitude. The rounding of the sums remains. Each sum has one term per
-step, of n + E squares, so its error is at most (t + n + E + 8) u times itself.
+holds with w + e for w. Let eps = (max n_i + 4) delta, with n_i the number of edges at node i and delta the unit
+roundoff; then |e| <= eps (|x| + |phi| + |w|), since |B| < 1. So g |w + e|^2 exceeds g |w|^2 by at most 5 g eps (|x|^2
++ |phi|^2 + |w|^2). z may lie outside its sector by SECTOR relative to it. The margin of the bound covers both if it is
+at least (5 eps + 2 SECTOR) times the bound's magnitude, and g is not more than the magnitude. The rounding of the sums
+remains. Each sum has one term per step, of n + E squares, so its error is at most (t + n + E + 8) delta times itself.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 With the same nu on every edge, the edges meet a node only in psi_i = (B phi)_i. Then the form of `gain_bound` is at
 most 0 if there are eta_i with
 
-    p (y - psi + w)^2 - p x^2 + x^2 - g w^2 + tau (z - alpha x)(beta x - z) + s (v - low x)(high x - v)
+    p (y - psi + w)^2 - p x^2 + x^2 - g w^2 + tau (z - alpha_low x)(alpha_high x - z) + s (v - low x)(high x - v)
         + nu z psi - eta psi^2 <= 0 at every node, with y = a x or v, and
     sum eta_i (B phi)_i^2 <= (nu - 1) |phi|^2, which is  diag((nu - 1)/eta) - B B' >= 0.
 
@@ -46,8 +46,8 @@ class Nodes:
     """a, or the middle of the list of a node that jumps"""
     radius: Array
     """0, or half the width of that list"""
-    alpha: Array
-    beta: Array
+    alpha_low: Array
+    alpha_high: Array
     low: Array
     """the smallest candidate"""
     high: Array
@@ -74,7 +74,7 @@ class Nodes:
 
     def kinds(self) -> list[Index]:
         """Return the nodes that have the same variables."""
-        fixed, unmoved = self.alpha == self.beta, self.radius == 0
+        fixed, unmoved = self.alpha_low == self.alpha_high, self.radius == 0
         each = [np.flatnonzero((fixed == f) & (unmoved == u)) for f in (False, True) for u in (False, True)]
         return [of for of in each if len(of)]
 
@@ -96,7 +96,8 @@ class Least:
 def least(nodes: Nodes, g: float, nu: float, margin: float = 0.0) -> Least:
     """Return the least eta: the minimum over q of q + m(q)^2 / c(q), by golden section.
 
-    m = max(nu beta/2 - a q, a q - nu alpha/2) and c = (1 - radius)^2 q g/(q + g) - 1 - a^2 q > 0, a the middle.
+    m = max(nu alpha_high/2 - a q, a q - nu alpha_low/2) and c = (1 - radius)^2 q g/(q + g) - 1 - a^2 q > 0, where a is
+    the middle of the list.
     """
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         return _least(nodes, g, nu, margin)
@@ -110,10 +111,10 @@ def _least(nodes: Nodes, g: float, nu: float, margin: float) -> Least:
     high = np.where(a > 0, (half + root) / np.maximum(a * a, 1e-300), 1e300)
     low = g / (half + root)
     # Beyond these q, both parts of eta grow.
-    high = np.maximum(low, np.minimum(high, np.maximum(4 * low, nu * nodes.beta / np.maximum(a, 1e-300)) + 4 * g))
+    high = np.maximum(low, np.minimum(high, np.maximum(4 * low, nu * nodes.alpha_high / np.maximum(a, 1e-300)) + 4 * g))
 
     def value(q: Array) -> Array:
-        m = np.maximum(nu * nodes.beta / 2 - a * q, a * q - nu * nodes.alpha / 2)
+        m = np.maximum(nu * nodes.alpha_high / 2 - a * q, a * q - nu * nodes.alpha_low / 2)
         c = keep * q * g / (q + g) - 1 - a * a * q
         return np.asarray(np.where(c > 0, q + m * m / np.maximum(c, 1e-300), np.inf))
 
@@ -127,21 +128,21 @@ def _least(nodes: Nodes, g: float, nu: float, margin: float) -> Least:
         one, two = np.where(left, new, two), np.where(left, one, new)
         at_one, at_two = np.where(left, at_new, at_two), np.where(left, at_one, at_new)
     q = np.where(at_one <= at_two, one, two)
-    upper, lower = nu * nodes.beta / 2 - a * q, a * q - nu * nodes.alpha / 2
+    upper, lower = nu * nodes.alpha_high / 2 - a * q, a * q - nu * nodes.alpha_low / 2
     m, c = np.maximum(upper, lower), keep * q * g / (q + g) - 1 - a * a * q
     eta = np.where(c > 0, q + m * m / c, np.inf)
     # Where both are equal, the derivative is that of a mixture of the two, for which q is stationary.
     slope = 1 - (m / c) ** 2 * (keep * (g / (q + g)) ** 2 - a * a)
     share = np.clip((1 + slope * c / (2 * m * a)) / 2, 0.0, 1.0)
-    by_nu = m / c * (share * nodes.beta - (1 - share) * nodes.alpha)
+    by_nu = m / c * (share * nodes.alpha_high - (1 - share) * nodes.alpha_low)
     by_g = -((m / c) ** 2) * keep * (q / (q + g)) ** 2
     # Of a node that jumps q is q0 s/(s - q0), and p = q0 g/(q0 + g).
     q0 = (1 - nodes.radius) / (1 / q + nodes.radius / g)
     s = q0 * q / (q - q0)
     # The form of the node has no room in x: leave some for a margin in x, z = sigma x, v = a q/q0 x and w = q0/g v.
-    sigma, v = (nodes.alpha + nodes.beta) / 2, a * q / q0
+    sigma, v = (nodes.alpha_low + nodes.alpha_high) / 2, a * q / q0
     room = 4 * margin * (1 + sigma**2 + v**2 * (1 + (q0 / g) ** 2))
-    tau = ((1 - ROOM) * c - room) * nu / ((nodes.beta - nodes.alpha) * m)
+    tau = ((1 - ROOM) * c - room) * nu / ((nodes.alpha_high - nodes.alpha_low) * m)
     return Least(g, nu, eta, by_g, by_nu, q0 * g / (q0 + g), tau, s)
 
 
@@ -214,8 +215,8 @@ class Edges:
     def _factored(self, eta: Array, room: float) -> bool:
         """Prove it by a sparse factorisation L U of M = diag(room/eta) - B B', with pivots on the diagonal.
 
-        M + F = L U holds with |F| <= k u |L||U|, where k is 4 n at most. With D = diag(U) > 0, L D L' >= 0, and so
-        M = L D L' + L (U - D L') - F is at least minus the norms of the last two.
+        M + F = L U holds with |F| <= k u |L||U|, where k is 4 n at most. With Delta = diag(U) > 0, L Delta L' >= 0,
+        and so M = L Delta L' + L (U - Delta L') - F is at least minus the norms of the last two.
         """
         import scipy.sparse  # noqa: PLC0415
         from scipy.sparse.linalg import splu  # noqa: PLC0415
@@ -359,12 +360,12 @@ def _proof(nodes: Nodes, edges: Edges, found: Least, margin: float) -> float | N
 
 def _blocks(nodes: Nodes, found: Least, of: Index) -> Blocks:
     """Return the forms of nodes of one kind in (x, w, [z], [v], psi), without eta."""
-    alpha, beta = nodes.alpha[of], nodes.beta[of]
-    has_z, has_v = bool((alpha < beta).all()), bool((nodes.radius[of] > 0).all())
+    alpha_low, alpha_high = nodes.alpha_low[of], nodes.alpha_high[of]
+    has_z, has_v = bool((alpha_low < alpha_high).all()), bool((nodes.radius[of] > 0).all())
     m = 3 + has_z + has_v
     blocks = Blocks(m, len(of))
     x, w, psi = (Form((k,), (1.0,)) for k in (0, 1, m - 1))
-    z = Form((2,), (1.0,)) if has_z else Form((0,), (alpha,))
+    z = Form((2,), (1.0,)) if has_z else Form((0,), (alpha_low,))
     v = Form((2 + has_z,), (1.0,)) if has_v else Form((0,), (nodes.middle[of],))
     after = Form((*v.at, *w.at, *psi.at), (*v.coefficient, 1.0, -1.0))
     blocks.add(-1, after, after, found.p[of])
@@ -372,7 +373,7 @@ def _blocks(nodes: Nodes, found: Least, of: Index) -> Blocks:
     blocks.add(-1, w, w, -found.g)
     blocks.add(-1, z, psi, found.nu)
     if has_z:
-        blocks.sector(-1, z, x, alpha, beta, found.tau[of])
+        blocks.sector(-1, z, x, alpha_low, alpha_high, found.tau[of])
     if has_v:
         blocks.sector(-1, v, x, nodes.low[of], nodes.high[of], found.s[of])
     return blocks

@@ -85,8 +85,9 @@ class Guarantee:
     def text(self) -> str:
         """Return the guarantee in words, one line per number."""
         lines = [
+            "for the truth of this network only, every a as in its file or as its seed drew it:",
             f"oracle      {_figure(self.gamma_star):>8}  optimal if every a is known and every edge is open; no promise"
-            " of the adaptive law"
+            " of the adaptive law",
         ]
         if self.at_least is not None:
             shown = rounded_down(self.at_least)
@@ -98,6 +99,8 @@ class Guarantee:
         elif self.learning is not None:
             lines.append(f"not computed          under {LEARNING}: {self.learning}")
         for premise in Premise:
+            if not premise.needs_truth and (premise in self.bounds or premise in self.not_computed):
+                lines.append("for any truth, every a(t) within its list at every step:")
             if (found := self.bounds.get(premise)) is not None:
                 how = {Method.FULL: ", full P", Method.UNIFORM: ", one multiplier"}.get(found.method, "")
                 lines.append(f"at most     {rounded_up(found.gain):>8}  under {SAYS[premise]}{how}")

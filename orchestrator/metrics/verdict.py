@@ -48,9 +48,9 @@ CLAIMS = {
     "faults": "every fault fired as scheduled, was seen where it struck, and nothing else went wrong",
 }
 _UNDER = {
-    Premise.ESTIMATES: "under any estimates from the lists",
-    Premise.EDGES: "under any estimates from the lists and closed edges",
-    Premise.JUMPS: "under any estimates from the lists, closed edges and jumps",
+    Premise.ESTIMATES: "for this truth and any estimates from the lists",
+    Premise.EDGES: "for this truth, any estimates from the lists and any closed edges",
+    Premise.JUMPS: "for any a(t) and any estimates from the lists, and any closed edges",
 }
 """The premise of the limit of the law, in the verdict line."""
 _OF_THE_LAW = {"estimates", "contraction"}
@@ -196,20 +196,23 @@ def law_limit(content: Mapping[str, Any]) -> tuple[Premise, float] | None:
     return min(held, key=lambda limit: float(rounded_up(limit[1])), default=None)
 
 
-def _limit_text(content: Mapping[str, Any]) -> str:
+def _limit_text(content: Mapping[str, Any]) -> tuple[str, str] | None:
+    """Return the limit of the law in words, and its premise."""
     limit = law_limit(content)
-    return f"at most {rounded_up(limit[1])} {_UNDER[limit[0]]}" if limit else ""
+    return (f"at most {rounded_up(limit[1])}", _UNDER[limit[0]]) if limit else None
 
 
-def gain_text(gain: float, less: float, gamma_star: float, faultless: bool, at_most: str = "") -> str:
-    """Return the gain in words, with the limit of the law (`at_most`) and with gamma*.
+def gain_text(
+    gain: float, less: float, gamma_star: float, faultless: bool, limit: tuple[str, str] | None = None
+) -> str:
+    """Return the gain in words, with the limit of the law, which holds from x(0) = 0, and with gamma*.
 
     `less` is the gain less V(x(0)). If it differs from `gain`, the gain has the cost of x(0), which no limit has. Then
     gamma* is left out: the two are not comparable. Numbers are NaN where they are undefined or not known yet.
     """
     if not math.isnan(gain) and less != gain:
-        return f"gain {gain:.4g} with x(0)" + (f" (from x(0) = 0 {at_most})" if at_most else "")
-    of = [at_most] if at_most else []
+        return f"gain {gain:.4g} with x(0)" + (f" ({limit[0]} from x(0) = 0, {limit[1]})" if limit else "")
+    of = [" ".join(limit)] if limit else []
     if not math.isnan(gamma_star):
         of.append(f"gamma* {gamma_star:.4g} of the oracle{'' if faultless else ' without faults'}")
     shown = "gain undefined" if math.isnan(gain) else f"gain {gain:.4g}"

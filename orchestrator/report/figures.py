@@ -132,8 +132,9 @@ FIGURES = (
         title="Gain",
         shows="√(Σ cost / Σ |w|²) so far, without and with V(x(0)) subtracted, the maximum cost of x(0) for the oracle."
         " γ* is the oracle's number, the smallest gain that can be guaranteed if every a is known and no edge is"
-        " closed; it is no guarantee for the adaptive law. The gain of that law from x(0) = 0 is at most the line"
-        f" above, while the line's premise holds ({page('guarantee')}).",
+        " closed; it is no guarantee for the adaptive law. The line *at most, from x(0) = 0* bounds the"
+        " gain of that law in a run that starts at x(0) = 0. A gain with the cost of x(0) may be above it. It holds"
+        f" while the line's premise holds ({page('guarantee')}).",
         draw=totals.gain,
         more=totals.beyond,
     ),

@@ -128,7 +128,7 @@ GAINS = (
 )
 """The lines of the gain, from the top line to the lowest in most runs: the legend has their order."""
 
-CEILING = Series("at most (law)", lambda run: run.ceiling, RED, "-.")
+CEILING = Series("at most, from $x(0) = 0$", lambda run: run.ceiling, RED, "-.")
 
 
 def gain(runs: Runs) -> Figure:

@@ -46,6 +46,8 @@ def find_run(run: str | Path) -> Path:
                         f"{path}: is no folder of a run: there is no topology.yaml in it", code=Code.RUN_MISSING
                     )
                 return real_path(path)
+            if path.exists():
+                raise UserError(f"{path}: is a file, and a run is a folder; name the folder", code=Code.RUN_MISSING)
     except OSError as error:
         raise UserError(
             f"{run}: {error.strerror}; check the path and its permissions", code=Code.FILE_UNREADABLE

@@ -22,7 +22,7 @@ from pathlib import Path
 
 from hedgerow.topologies import json_file
 from hedgerow.topologies.errors import Code, UserError
-from hedgerow.topologies.escape import command
+from hedgerow.topologies.escape import command, escape
 from hedgerow.topologies.regular_file import open_regular
 from hedgerow.wire.access import OPERATOR
 from hedgerow.wire.session import remove_trace
@@ -50,11 +50,25 @@ class Entry:
         """Return True if the run has its verdict: its processes have ended, and its command keeps a page open."""
         return os.path.isfile(os.path.join(self.folder, "verdict.json"))
 
+    @property
+    def verdict(self) -> str:
+        """Return the verdict of a run that is over; empty if verdict.json cannot be read."""
+        path = Path(self.folder) / "verdict.json"
+        with contextlib.suppress(OSError, UserError), open_regular(path, path.parent) as file:
+            found = json_file.loads(path, file.read(_MOST_VERDICT_BYTES))
+            if isinstance(found, dict) and isinstance(verdict := found.get("verdict"), str):
+                return escape(verdict)
+        return ""
+
+    def ending(self) -> str:
+        """Return the end of a run in words: its verdict, and that its page is still open."""
+        return f"is over{f' ({verdict})' if (verdict := self.verdict) else ''}; only its page is open"
+
     def over(self) -> UserError:
         """Return the error of a request to a run that is over."""
         again, end = command(["orchestrator", "open", self.folder]), command(["orchestrator", "stop", self.run])
         return UserError(
-            f"{self.run}: is over, and only its page stays; `{end}` ends the page, `{again}` shows the run",
+            f"{self.run}: {self.ending()}. `{end}` closes the page, `{again}` shows the run.",
             code=Code.NETWORK_MISSING,
         )
 
@@ -147,6 +161,8 @@ def running() -> list[Entry]:
 
 
 _MOST_BYTES = 2**20
+_MOST_VERDICT_BYTES = 2**26
+"""The verdict of a large network lists every storage p_i."""
 
 
 def _entry(path: Path, content: bytes) -> Entry:

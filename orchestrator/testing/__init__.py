@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from hedgerow.orchestrator.runs.difference import Estimates
     from hedgerow.orchestrator.runs.run import Run
     from hedgerow.orchestrator.testing.laws import check_law
-    from hedgerow.orchestrator.testing.scenario import Networks, Scenario
+    from hedgerow.orchestrator.testing.scenario import Networks, Scenario, VerdictError
 
 _HOMES = {
     "Estimates": "runs.difference",
@@ -19,9 +19,10 @@ _HOMES = {
     "Run": "runs.run",
     "Running": "launch.running",
     "Scenario": "testing.scenario",
+    "VerdictError": "testing.scenario",
     "check_law": "testing.laws",
 }
-__all__ = ["Estimates", "Networks", "Run", "Running", "Scenario", "check_law"]
+__all__ = ["Estimates", "Networks", "Run", "Running", "Scenario", "VerdictError", "check_law"]
 
 
 def __getattr__(name: str) -> object:

@@ -35,11 +35,15 @@ def network(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
 
 
 def _is_one_line(mistake: pytest.ExceptionInfo[BaseException]) -> bool:
-    """Return True if pytest must show the line of the test alone: for a mistake in a test, and a defect of ours."""
+    """Return True if pytest must show the line of the test alone: for a mistake in a test, a run that is not valid, and
+    a defect of ours.
+    """
     from hedgerow.topologies.errors import Code, HedgerowError, UserError  # noqa: PLC0415
 
     error = mistake.value
-    return isinstance(error, UserError) or (isinstance(error, HedgerowError) and error.code == Code.CRASH)
+    return isinstance(error, UserError) or (
+        isinstance(error, HedgerowError) and error.code in {Code.CRASH, Code.VERDICT}
+    )
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -16,12 +16,12 @@ from hedgerow.orchestrator.launch.live import checked
 from hedgerow.orchestrator.launch.recording import Recording
 from hedgerow.orchestrator.launch.running import Running, run_to_the_end
 from hedgerow.orchestrator.launch.watching import Watching
-from hedgerow.orchestrator.metrics.verdict import Ending
+from hedgerow.orchestrator.metrics.verdict import INVALID, VALID, Ending
 from hedgerow.orchestrator.runs import reference
 from hedgerow.orchestrator.runs.folder import create
 from hedgerow.orchestrator.runs.reader import load_run
 from hedgerow.orchestrator.runs.run import Run
-from hedgerow.topologies.errors import Code, UserError
+from hedgerow.topologies.errors import Code, HedgerowError, UserError
 from hedgerow.topologies.faults import Fault
 from hedgerow.topologies.named import Given, Named
 from hedgerow.topologies.named import given as as_given
@@ -34,6 +34,20 @@ from hedgerow.wire.message import End, Telemetry
 RUN_DEADLINE_S = 120.0
 LIVE_STEPS = 1_000_000
 _OPTIONS = ("--viewer", "none", "--no-record")
+
+
+class VerdictError(HedgerowError):
+    """A run of a test that is not valid."""
+
+    default_code = Code.VERDICT
+
+    def __init__(self, run: Run) -> None:
+        """`run` is the run."""
+        reasons = "; ".join(run.verdict.content["reasons"])
+        super().__init__(
+            f"run {run.folder.name} is {run.verdict.verdict}: {reasons}. Correct the cause, or write run(check=False)."
+        )
+        self.run = run
 
 
 @dataclass(frozen=True)
@@ -76,11 +90,14 @@ class Scenario(FaultVerbs["Scenario"]):
         engine: Literal["in-process", "zenoh"] = "in-process",
         seed: int | None = None,
         deadline_s: float = RUN_DEADLINE_S,
+        check: bool = True,
     ) -> Run:
         """Run to the last step, and return the run; steps, processes and seed replace those of the file.
 
         engine: `in-process` is the reference, without processes, and takes milliseconds; `zenoh` is `orchestrator up`,
         with processes. Both give the same bits. Raise DeadlineError after `deadline_s`, which is for zenoh.
+
+        check: raise VerdictError if the run is not valid; a fault that could not strike is one reason.
         """
         scenario = self._with(steps=steps, processes=processes, seed=seed)
         folder = self.new_folder(scenario.topology.name)
@@ -94,6 +111,8 @@ class Scenario(FaultVerbs["Scenario"]):
             case _:
                 raise UserError(f"engine={engine!r}: is neither 'in-process' nor 'zenoh'", code=Code.OPTION)
         self.on_result(result)
+        if check and result.verdict.verdict != VALID:
+            raise VerdictError(result)
         return result
 
     def up(
@@ -112,7 +131,12 @@ class Scenario(FaultVerbs["Scenario"]):
         scenario = self._with(steps=steps, processes=processes, seed=seed)
         folder = self.new_folder(scenario.topology.name)
         options = (*_OPTIONS, "--rate", str(rate), "--deadline", str(step_deadline_s))
-        return Running(scenario.topology, folder, *options, listed=False, on_run=self.on_result)
+        return Running(scenario.topology, folder, *options, listed=False, on_run=self._take)
+
+    def _take(self, result: Run) -> None:
+        self.on_result(result)
+        if result.verdict.verdict == INVALID:
+            raise VerdictError(result)
 
     def _with(self, **settings: int | None) -> Scenario:
         given = [f"{key}={value}" for key, value in settings.items() if value is not None]

@@ -147,9 +147,10 @@ The *oracle* is the same network with the same disturbances, x(0) and closed edg
 - **Regret** |x − x\\*| [x] of each node; *Nominal gap* |x\\* − x_nom| [x]. **Regret D** [x²] is the sum of its squares
   over nodes and steps, beside D of the nominal law. *Cost R* [x²] is the cost minus the oracle's cost, and may be
   negative. *Ratio* is the cost divided by the oracle's cost.
-- **Gain** √(Σ cost / Σ |w|²) of the disturbance so far; the cost of a step is |x|² + {edge_cost}. *at most* is the
-  limit of the law from x(0) = 0. After a cut edge or a jump of an a, a larger limit holds. A gain *with x(0)* has the
-  cost of the initial states too, so it may start far above the limits. The axis ends at 4 γ\\*.
+- **Gain** √(Σ cost / Σ |w|²) of the disturbance so far; the cost of a step is |x|² + {edge_cost}. *at most, from
+  x(0) = 0* is a bound on the gain of a run that starts at x(0) = 0, for the truth of this network. After a cut edge, a
+  larger bound holds; after a jump of an a, one for any a(t) within the lists. A gain *with x(0)* has the cost of the
+  initial states too, so it may start far above the lines. The axis ends at 4 γ\\*.
 - **Faults**: lost messages, cut edges and dead agents in telemetry.
 - **Round trips**: the time of each process to answer a step, by the plant's clock [ms]; over Zenoh only.
 

@@ -13,10 +13,11 @@ from hypothesis import strategies as st
 
 import hedgerow as hg
 from hedgerow.agents.contract import Trial, check_law
-from hedgerow.agents.law import Minimax
+from hedgerow.agents.law import Array, Minimax
 from hedgerow.agents.loading import LawError
 from hedgerow.orchestrator.ground import laws
 from hedgerow.topologies.errors import Code, UserError
+from hedgerow.topologies.graph import Gain
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
 from tests.tools import broken_laws
@@ -111,3 +112,29 @@ def test_a_network_with_unequal_gains_and_weights_tries_both(law: type[Any]) -> 
     with pytest.raises(LawError) as refused:
         hg.simulate(UNEQUAL, law=law)
     assert refused.value.method == "act"
+
+
+class NeedsTwo(Minimax):
+    """Divides by the number of candidates less one."""
+
+    def __init__(self, b: Gain, candidates: Array) -> None:
+        super().__init__(b, candidates)
+        self._others = (~np.isnan(candidates)).sum(axis=0) - 1
+
+    def act(self, x: Array) -> Array:
+        return np.asarray(super().act(x) * self._others / self._others)
+
+
+def test_a_law_that_needs_two_candidates_runs_where_every_list_has_two() -> None:
+    law = f"{NeedsTwo.__module__}:{NeedsTwo.__qualname__}"
+    network = load("paper7").model_copy(update={"law": law})
+    assert laws.checked(network).law == law  # not drawn, as in a comparison and a sweep
+    assert laws.checked(resolve(network)).law == law
+    one = load("paper7", ["nodes.3.a=0.5", "nodes.3.candidates=[0.5]"]).model_copy(update={"law": law})
+    for topology in (one, resolve(one)):
+        with pytest.raises(LawError) as refused:
+            laws.checked(topology)
+        assert (refused.value.method, refused.value.node) == ("act", 3)
+    with pytest.raises(LawError) as refused:
+        check_law(NeedsTwo)
+    assert (refused.value.method, refused.value.node) == ("act", 4)

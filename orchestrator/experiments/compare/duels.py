@@ -46,6 +46,9 @@ class Duel:
         return len(self.tests) - self.better - self.worse - self.equal
 
     def __str__(self) -> str:
+        if not self.better and not self.worse:
+            same = f", {self.equal} of them equal for every seed" if self.equal else ""
+            return f"{self.one}: no certain difference from {self.other} in {count(len(self.tests), 'test')}{same}"
         parts = [f"better than {self.other} in {self.better}", f"worse in {self.worse}"]
         parts += [f"equal in {self.equal}"] * (self.equal > 0)
         uncertain = f"; {count(self.uncertain, 'difference')} may be chance" if self.uncertain else ""

@@ -10,6 +10,7 @@ import contextlib
 import fcntl
 import json
 import os
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -186,7 +187,7 @@ def worst(
         if (seen := hunt.best_score() ** 0.5) > found.limit * (1 + UNREPEATED):
             say(
                 f"{found.limit:.4f} counts: the {seen:.4f} of the search has no longer run that repeats it;"
-                " more --steps or another --seed may help"
+                " another --seed, or other --steps, may help"
             )
         return found
 
@@ -199,6 +200,9 @@ def _state_beside(out: Path) -> Path:
     try:
         if not os.access(out.parent, os.W_OK | os.X_OK) or not out.parent.is_dir():
             raise UserError(f"--out {out}: {out.parent} is no folder to write in. Choose another.", code=Code.OUTPUT)
+        # A folder such as /proc refuses files that its mode allows: find that out before the search.
+        with tempfile.TemporaryFile(dir=out.parent):
+            pass
         is_ours = state_file.exists()  # else `Hunt.resume` refuses it
         if result.exists():
             content = read_json(result)

@@ -279,7 +279,8 @@ class Hunt:
         )
         said, silent = time.monotonic(), SILENT_S
         for sought, attack in self.attacks():
-            if best is not None and (sought <= best[0].limit * (1 + SETTLED) or quit_now()):
+            is_asked = quit_now()  # also before there is a gain: it reports the signal
+            if best is not None and (sought <= best[0].limit * (1 + SETTLED) or is_asked):
                 break
             if (waited := time.monotonic() - said) >= silent:
                 silent *= 2

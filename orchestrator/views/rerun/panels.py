@@ -129,7 +129,7 @@ def totals(topology: Topology, observer: Observer) -> list[Quantity]:
         Quantity("regret_sum", sums, [topology.law, "nominal"], [BLUE, ORANGE], 2.0),
         Quantity("cost_regret", lambda batch: batch.cost_regret, ["R"], [BLUE], 2.0),
         Quantity("cost_ratio", lambda batch: batch.ratio, ["cost / oracle's cost"], [BLUE], 2.0),
-        Quantity("gain", gains, [gain, "at most (law)", "γ* (oracle)"], [ORANGE, VERMILLION, GREY], 2.0),
+        Quantity("gain", gains, [gain, "at most, from x(0) = 0", "γ* (oracle)"], [ORANGE, VERMILLION, GREY], 2.0),
         Quantity("ceiling_slack", lambda batch: batch.ceiling_slack, ["slack"], [VERMILLION], 2.0),
     ]
 

@@ -154,9 +154,10 @@ def choose_one(asked: str, instead: str) -> str:
     """
     choice = choose(asked) if asked != "native" or has_display() else "none"
     if choice == "none":
+        option = "" if asked == "auto" else f"--viewer {asked}: "
         raise UserError(
-            f"--viewer {asked}: there is no display (DISPLAY and WAYLAND_DISPLAY are not set): --viewer web serves a"
-            f" page; {instead}"
+            f"{option}there is no display (DISPLAY and WAYLAND_DISPLAY are not set): --viewer web serves a page;"
+            f" {instead}"
             if asked != "none"
             else "--viewer none: shows nothing; choose native, web or a viewer's address"
         )

@@ -127,14 +127,19 @@ def test_a_run_that_is_over_and_keeps_its_page_is_no_running_network(
     folder = tmp_path / "runs" / "pair-1"
     assert not registry.find(None).is_over
     folder.mkdir(parents=True)
-    (folder / "verdict.json").write_text("{}")
+    (folder / "verdict.json").write_text('{"verdict": "INVALID"}')
     for words in (("status",), ("pause", "pair-1"), ("watch", "pair-1"), ("fault", "list", "--run", "pair-1")):
         done = run_here(*words)
         assert done.returncode == Exit.USER_MISTAKE
         assert "orchestrator open" in done.stderr
+        assert "INVALID" in done.stderr
     with pytest.raises(UserError) as caught, Live("pair-1"):
         pass
     assert caught.value.code == Code.NETWORK_MISSING
-    assert [entry["over"] for entry in json.loads(run_here("ps", "--json").stdout)] == [True]
+    assert "INVALID" in run_here("ps").stdout
+    listed_now = json.loads(run_here("ps", "--json").stdout)
+    assert [(entry["over"], entry["verdict"]) for entry in listed_now] == [(True, "INVALID")]
+    (folder / "verdict.json").write_text("{")  # a file that is damaged hides no run
+    assert [entry["verdict"] for entry in json.loads(run_here("ps", "--json").stdout)] == [None]
     announce(listed, monkeypatch, "pair-2", tmp_path)
     assert registry.find(None).run == "pair-2"

@@ -152,7 +152,7 @@ def test_bound_tells_a_gain_that_a_run_reached_from_one_that_longer_runs_approac
     assert (guarantee.at_least, guarantee.reached, guarantee.attack) == (found.limit, found.gain, "any-name.json")
     assert found.gain < found.limit
     texts = {
-        replace(guarantee, at_least=limit, reached=gain).text().splitlines()[1]
+        replace(guarantee, at_least=limit, reached=gain).text().splitlines()[2]
         for limit, gain in ((4.8816, 4.8809), (4.8816, 4.8811), (4.8816, None))
     }
     assert len(texts) == 2, "only 4.8811 is at least 4.881"

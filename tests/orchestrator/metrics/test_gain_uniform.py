@@ -77,7 +77,7 @@ def test_eta_is_the_least_of_a_node(
     a, keep = float(nodes.middle[0]), float(1 - nodes.radius[0]) ** 2
     q = np.geomspace(1e-2, 1e6, 20_001)
     c = keep * q * g / (q + g) - 1 - a * a * q
-    m = np.maximum(nu * nodes.beta / 2 - a * q, a * q - nu * nodes.alpha / 2)
+    m = np.maximum(nu * nodes.alpha_high / 2 - a * q, a * q - nu * nodes.alpha_low / 2)
     grid = (q + m * m / np.where(c > 0, c, 1e-9))[c > 0].min(initial=np.inf)
     assert found.eta[0] <= grid * (1 + 1e-9)
     step = 1e-3 * nu

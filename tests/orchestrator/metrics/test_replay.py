@@ -16,6 +16,8 @@ from hedgerow.orchestrator.launch.simulation import simulate as recorded
 from hedgerow.orchestrator.metrics.replay import Replay
 from hedgerow.topologies.effects import FOREVER
 from hedgerow.topologies.faults import effects
+from hedgerow.topologies.load import load
+from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire.message import Telemetry
 from tests.tools.examples import examples
@@ -60,8 +62,17 @@ def test_a_run_that_equals_its_file_agrees_with_its_replay(topology: Topology, d
 @given(faulty(), st.data())
 def test_faults_that_come_while_it_runs_are_replayed_alike(topology: Topology, data: st.DataObject) -> None:
     """The last faults of the list become known only when the first of them is about to begin."""
+    check_late_faults(topology, known=data.draw(st.integers(0, len(topology.faults))))
+
+
+def test_a_cut_that_comes_while_messages_are_lost_is_replayed_alike() -> None:
+    """The links of many steps are known ahead then, until the cut is known."""
+    faults = "[{kind: drop, link: [1, 2], probability: 0.5}, {kind: cut, edge: [2, 4], steps: [10, 20]}]"
+    check_late_faults(resolve(load("paper7", [f"faults={faults}"])), known=1)
+
+
+def check_late_faults(topology: Topology, known: int) -> None:
     ran = simulate(topology)
-    known = data.draw(st.integers(0, len(topology.faults)))
     begins = [one.start for one in effects(topology.faults, topology) if one.fault >= known]
     row = min([*begins, len(ran.rows)])
     live = Replay(topology.model_copy(update={"faults": topology.faults[:known]}))

@@ -112,3 +112,12 @@ def test_a_run_without_a_complete_step_is_reported(here: Path) -> None:
     Recorder(topology, folder.path).write(Observer(topology).take(rows[:1]))
     with refusal(Code.RUN_MISSING):
         load_run(folder.path)
+
+
+def test_a_file_in_place_of_a_run_is_named(tmp_path: Path) -> None:
+    """The message does not call it missing."""
+    file = tmp_path / "afile"
+    file.touch()
+    with refusal(Code.RUN_MISSING) as refused:
+        load_run(file)
+    assert "is a file" in str(refused.value)
