@@ -17,9 +17,12 @@ import tempfile
 import time
 from pathlib import Path
 
+import numpy as np
 from PIL import Image
 from rerun.experimental import ViewerClient
 
+from hedgerow.orchestrator.ground.colours import ON_DARK
+from hedgerow.orchestrator.views.palette import DEAD, LOST, NO_INPUT, WRONG, of_hex, packed, state_colors
 from hedgerow.orchestrator.views.rerun.viewer import native
 
 STEPS = 64
@@ -38,6 +41,8 @@ PANEL = (0, 500, 400, 640)
 WIDTH = 960
 EVERY = 2
 """the steps between two frames: a frame takes about 40 kB, because the axes of the panels move"""
+FREQUENT = 112
+"""the number of frequent colours in the palette"""
 FRAME_MS = 220
 LAST_MS = 2500
 IMAGE = Path(__file__).parent / "images" / "paper7.gif"
@@ -84,7 +89,12 @@ def main() -> None:
     sheet = Image.new("RGB", (WIDTH, height * 4))
     for k in range(4):
         sheet.paste(small[(k + 1) * len(small) // 5], (0, k * height))
-    palette = sheet.quantize(128, kmeans=2)
+    # Add the colours of nodes, lines and faults: a few pixels of yellow would be drawn in the nearest frequent colour.
+    shown = [of_hex(code) for code in ON_DARK] + [WRONG, NO_INPUT, DEAD, LOST]
+    packed_colors = [*state_colors(np.linspace(0, 1, 16)), *map(packed, shown)]
+    fixed = [int(color) >> shift & 255 for color in packed_colors for shift in (24, 16, 8)]
+    palette = sheet.quantize(FREQUENT, kmeans=2)
+    palette.putpalette([*(palette.getpalette() or [])[: 3 * FREQUENT], *fixed])
     drawn = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in small]
     times = [FRAME_MS] * (len(drawn) - 1) + [LAST_MS]
     drawn[0].save(IMAGE, save_all=True, append_images=drawn[1:], duration=times, loop=0, optimize=True)

@@ -90,7 +90,8 @@ SHARES = (
 def _shares(axis: Axes, runs: Sequence[Run], figure: Figure) -> None:
     """Draw the share of nodes with a right estimate, and the share that a random choice from the lists would give."""
     legend(figure, draw_series(axis, runs, SHARES))
-    axis.set_ylim(0, 1.03)
+    # Start a little below 0: a share of 0 would lie under the axis.
+    axis.set_ylim(-0.03, 1.03)
     axis.set_ylabel("estimates right\n[share of nodes]")
     steps_axis(axis, runs)
 
