@@ -388,7 +388,12 @@ def _validate(source: Source) -> tuple[Topology | None, Iterable[Problem]]:
 
 
 def _without_echoes(found: Sequence[ErrorDetails], problems: Sequence[Problem]) -> list[Problem]:
-    """Return the mistakes without a missing key that an unknown key means: `step: 3` for `steps:` is one mistake."""
+    """Return the mistakes without those that follow from another.
+
+    `step: 3` for `steps:` is one mistake, and not an unknown key and a missing one. If the kind is wrong, the keys of
+    that kind are not unknown as well.
+    """
+    kinds = {one["loc"][:-1] for one in found if one["type"] == "literal_error" and one["loc"][-1] == "kind"}
     meant = {
         (*details["loc"][:-1], word[1])
         for details, problem in zip(found, problems, strict=True)
@@ -397,7 +402,8 @@ def _without_echoes(found: Sequence[ErrorDetails], problems: Sequence[Problem]) 
     return [
         problem
         for details, problem in zip(found, problems, strict=True)
-        if details["type"] != "missing" or details["loc"] not in meant
+        if not (details["type"] == "missing" and details["loc"] in meant)
+        and not (details["type"] == "extra_forbidden" and details["loc"][:-1] in kinds)
     ]
 
 

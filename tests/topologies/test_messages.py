@@ -211,3 +211,9 @@ def test_a_parser_with_another_bound_gives_the_same_mistake(raised: Exception, m
     (problem,) = refused(HEAD).problems
     assert problem.code == Code.FILE_FORMAT
     assert str(source.MAX_DEPTH) in problem.what
+
+
+def test_a_wrong_kind_is_one_mistake() -> None:
+    """The keys of that kind are no mistakes as well."""
+    error = refused(HEAD + "edges: [[1, 2]]\ndisturbance: {kind: sinusoid, amplitude: 1, omega: 2}\n")
+    assert [problem.place for problem in error.problems if "disturbance" in str(problem.place)] == ["disturbance: kind"]
