@@ -12,6 +12,7 @@ import time
 import types
 import typing
 from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -30,8 +31,10 @@ from hedgerow.topologies.schema import LAWS, Topology
 from hedgerow.topologies.wording import in_our_words
 
 
-def checked(topology: Topology) -> Topology:
+def checked(topology: Topology, folder: Path = Path()) -> Topology:
     """Return a topology with a law that names all of its parameters, defaults included.
+
+    `folder` has the files of samples of a topology that is not drawn yet.
 
     If the file of the law changed since it was loaded, it is loaded again. Raises UserError if the class cannot be
     loaded, or a parameter is unknown, missing or of the wrong type. The message names the file and line. Raises
@@ -49,7 +52,7 @@ def checked(topology: Topology) -> Topology:
     except ValueError as error:
         raise UserError(f"{where}: {error}. Declare parameters of these types only.", code=Code.LAW) from None
     whole = completed(topology.model_copy(update={"law": str(full)}))
-    _keeps_contract(law, LawChoice.parse(whole.law), whole)
+    _keeps_contract(law, LawChoice.parse(whole.law), whole, folder)
     return whole
 
 
@@ -88,11 +91,11 @@ _KEPT: dict[tuple[type[Law], str, bytes], None] = {}
 """laws that passed the contract test, on these candidates; a sweep checks one law in many settings"""
 
 
-def _keeps_contract(law: type[Law], choice: LawChoice, topology: Topology) -> None:
+def _keeps_contract(law: type[Law], choice: LawChoice, topology: Topology, folder: Path) -> None:
     """Raise LawError if a law breaks its contract on nodes of this network, drawn with its own seed."""
     if _lacks_theta(choice):  # some numbers are still random, and the test needs theta
         return
-    network = (topology if topology.is_drawn else resolve(topology)).network
+    network = (topology if topology.is_drawn else resolve(topology, folder)).network
     trial = Trial.of(network.ids, network.b, network.candidates, network.graph.weight is not None)
     key = law, str(choice), trial.candidates.tobytes() + np.asarray(trial.b).tobytes() + bytes([trial.weighted])
     if key not in _KEPT:

@@ -80,7 +80,7 @@ def comparison(
             own = undrawn.with_overrides(*sets, Override.of_option("law", law)).parse()
             if disturbance != AS_FILE:
                 own = _under(own, _defaults(disturbance, undrawn.folder))
-            settings.append(Setting((_name(disturbance), law), law_checks.checked(own)))
+            settings.append(Setting((_name(disturbance), law), law_checks.checked(own, undrawn.folder)))
     if len({one.values for one in settings}) < len(settings):
         raise UserError("disturbances: one is given twice. Give each once.", code=Code.OPTION)
     return Comparison(("disturbance", "law"), tuple(settings), seeds, "in-process", undrawn.folder)

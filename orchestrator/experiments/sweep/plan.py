@@ -135,7 +135,7 @@ def plan(network: Named, seeds: str, sets: Sequence[str], engine: str) -> Plan:
             f"{len(settings)} settings with {len(asked)} seeds: at most {MAX_RUNS} runs; ask for fewer",
             code=Code.OPTION,
         )
-    settings = [Setting(setting.values, laws.checked(setting.topology)) for setting in settings]
+    settings = [Setting(setting.values, laws.checked(setting.topology, undrawn.folder)) for setting in settings]
     return Plan(tuple(values), tuple(settings), asked, engine, undrawn.folder)
 
 

@@ -159,7 +159,8 @@ def choose_one(asked: str, instead: str) -> str:
             f"{option}there is no display (DISPLAY and WAYLAND_DISPLAY are not set): --viewer web serves a page;"
             f" {instead}"
             if asked != "none"
-            else "--viewer none: shows nothing; choose native, web or a viewer's address"
+            else "--viewer none: shows nothing; choose native, web or a viewer's address",
+            code=Code.VIEWER if asked == "auto" else Code.OPTION,
         )
     return choice
 

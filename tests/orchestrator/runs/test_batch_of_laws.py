@@ -100,7 +100,9 @@ def test_any_law_under_faults_gives_the_rows_of_single_runs(
             disturbance = {**disturbance, "file": "w0.csv"}
     defaults = {"x0": {"random": [-2, 2]}, "candidates": {"random": listed}, "disturbance": disturbance}
     text = {"name": "net", "b": 0.1, "steps": 14, "law": law, "history": history, "defaults": defaults}
-    topology = laws.checked(parse(json.dumps({**text, **graph, "faults": faults}).encode(), "net.yaml", folder, ()))
+    topology = laws.checked(
+        parse(json.dumps({**text, **graph, "faults": faults}).encode(), "net.yaml", folder, ()), folder
+    )
     plan = Plan(("law",), (Setting((law,), topology),), range(3), "in-process", folder)
     assert not batch.why_not(topology)
     for answer in (swept.answer, compared.answer):
