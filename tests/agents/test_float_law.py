@@ -45,6 +45,20 @@ def patience(steps: int) -> Iterator[None]:
         yield
 
 
+@contextmanager
+def steps_in_floats() -> Iterator[list[int]]:
+    """Give the steps before each one that floats made meanwhile."""
+    made: list[int] = []
+    step = FloatLaw.step
+
+    def counted(self: FloatLaw, states: Any, links: Any, past: int) -> Any:
+        made.append(past)
+        return step(self, states, links, past)
+
+    with mock.patch.object(FloatLaw, "step", counted):
+        yield made
+
+
 def check_same_bits(topology: Topology, shards: Layout, steps: int) -> None:
     """Compare a run with floats after this number of quiet steps with one of the general path alone."""
     with general_path():
@@ -71,17 +85,9 @@ def test_long_runs_with_crashes_and_lost_messages_have_the_same_bits(seed: int, 
 
 def test_floats_make_almost_every_step_of_a_run_without_faults() -> None:
     topology = resolve(load("paper7", ["steps=30"]))
-    made = 0
-    step = FloatLaw.step
-
-    def counted(self: FloatLaw, *given: Any) -> Any:
-        nonlocal made
-        made += 1
-        return step(self, *given)
-
-    with mock.patch.object(FloatLaw, "step", counted):
+    with steps_in_floats() as made:
         simulate(topology, layout(topology, 7))
-    assert made == 7 * (30 - 1 - float_law.STEPS_BEFORE)
+    assert len(made) == 7 * (30 - 1 - float_law.STEPS_BEFORE)
 
 
 @given(

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import struct
-from typing import Any
-from unittest import mock
 
 import numpy as np
 import pytest
@@ -22,7 +20,7 @@ from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire.message import Link
-from tests.agents.test_float_law import check_same_bits, general_path
+from tests.agents.test_float_law import check_same_bits, general_path, steps_in_floats
 from tests.test_faults import faulty, harsh
 from tests.tools.examples import examples
 from tests.tools.networks import partitions, simulate
@@ -56,19 +54,11 @@ def test_long_runs_with_crashes_and_lost_messages_have_the_same_bits(law: str) -
 @pytest.mark.parametrize("law", LAWS)
 def test_floats_make_almost_every_step_of_a_run_without_faults(law: str) -> None:
     topology = resolve(load("paper7", ["steps=30", f"law={law}"]))
-    made = 0
-    step = FloatLaw.step
-
-    def counted(self: FloatLaw, *given: Any) -> Any:
-        nonlocal made
-        made += 1
-        return step(self, *given)
-
     with general_path():
         expected = simulate(topology, layout(topology, 7))
-    with mock.patch.object(FloatLaw, "step", counted):
+    with steps_in_floats() as made:
         assert simulate(topology, layout(topology, 7)).same_bits(expected)
-    assert made == 7 * (30 - 1 - float_law.STEPS_BEFORE)
+    assert len(made) == 7 * (30 - 1 - float_law.STEPS_BEFORE)
 
 
 @given(
