@@ -41,12 +41,10 @@ class VerdictError(HedgerowError):
 
     default_code = Code.VERDICT
 
-    def __init__(self, run: Run) -> None:
-        """`run` is the run."""
+    def __init__(self, run: Run, cure: str) -> None:
+        """`run` is the run, and `cure` what to do."""
         reasons = "; ".join(run.verdict.content["reasons"])
-        super().__init__(
-            f"run {run.folder.name} is {run.verdict.verdict}: {reasons}. Correct the cause, or write run(check=False)."
-        )
+        super().__init__(f"run {run.folder.name} is {run.verdict.verdict}: {reasons}. {cure}")
         self.run = run
 
 
@@ -112,7 +110,7 @@ class Scenario(FaultVerbs["Scenario"]):
                 raise UserError(f"engine={engine!r}: is neither 'in-process' nor 'zenoh'", code=Code.OPTION)
         self.on_result(result)
         if check and result.verdict.verdict != VALID:
-            raise VerdictError(result)
+            raise VerdictError(result, "Correct the cause, or write run(check=False).")
         return result
 
     def up(
@@ -136,7 +134,7 @@ class Scenario(FaultVerbs["Scenario"]):
     def _take(self, result: Run) -> None:
         self.on_result(result)
         if result.verdict.verdict == INVALID:
-            raise VerdictError(result)
+            raise VerdictError(result, "Correct the cause.")
 
     def _with(self, **settings: int | None) -> Scenario:
         given = [f"{key}={value}" for key, value in settings.items() if value is not None]
